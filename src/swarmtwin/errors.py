@@ -1,0 +1,16 @@
+"""The one exception a user ever sees: what is wrong, where, and what to do."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class UserError(Exception):
+    """Something the user can put right. Its message names what is wrong, where, and the remedy; no traceback is shown."""
+
+
+def near_miss(word: str, known: Iterable[str]) -> str:
+    """Return a remedy for an unknown `word`: the known word meant, if one is near, and all known words."""
+    known = sorted(known)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    meant = f"did you mean {close[0]!r}? " if close else ""
+    return f"{meant}known: {', '.join(known)}"

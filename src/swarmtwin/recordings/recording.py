@@ -1,0 +1,81 @@
+"""What a recording is in memory: its header, and one track for each vehicle in each run."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarmtwin.robot import Arena, Robot, StrictModel
+
+
+class Header(StrictModel):
+    """The content of `recording.yaml`.
+
+    Attributes:
+        robot: name of the robot that was recorded.
+        period_s: nominal control period.
+        arena_mm: where the vehicles could move, in the frame of the poses.
+        source: where the recording comes from, in words.
+        vehicles: the ids that occur, if stated.
+        started_at: date and time of the session, if stated.
+        notes: anything else a person should know.
+    """
+
+    robot: str
+    period_s: float
+    arena_mm: Arena
+    source: str
+    vehicles: tuple[str, ...] | None = None
+    started_at: str | None = None
+    notes: str | None = None
+
+
+@dataclass(frozen=True)
+class Track:
+    """One vehicle's part of one run: T rows in order of time, each command held until the next row.
+
+    Attributes:
+        run: the run's name (its file's stem).
+        vehicle: the vehicle's id.
+        time_s: (T,), strictly increasing, seconds since the session began.
+        command: (T, m) in the robot's units; a row of NaN where none was sent.
+        pose: (T, 3) x_mm, y_mm, heading_rad in the arena's frame, heading in (−π, π]; a row of NaN where none was seen.
+    """
+
+    run: str
+    vehicle: str
+    time_s: np.ndarray
+    command: np.ndarray
+    pose: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Measured runs of one robot.
+
+    Attributes:
+        robot: the robot, with its limits.
+        header: the content of `recording.yaml`.
+        tracks: in order of run, then vehicle.
+        dropped_rows: rows set aside while reading, counted by reason.
+        digest: identifies the content of the runs, to tell one recording from another.
+    """
+
+    robot: Robot
+    header: Header
+    tracks: tuple[Track, ...]
+    dropped_rows: Mapping[str, int] = field(default_factory=dict)
+    digest: str = ""
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the runs, in order."""
+        return tuple(dict.fromkeys(track.run for track in self.tracks))
+
+    @property
+    def vehicles(self) -> tuple[str, ...]:
+        """Ids of the vehicles that occur, sorted."""
+        return tuple(sorted({track.vehicle for track in self.tracks}))

@@ -1,0 +1,163 @@
+"""What a robot is: its commands, its period and what is believable of its motion, from one file in `conf/robot/`."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from swarmtwin.errors import UserError, near_miss
+
+POSE_COLUMNS = ("x_mm", "y_mm", "heading_rad")
+DISPLACEMENT_COLUMNS = ("forward_mm", "left_mm", "turn_rad")
+RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
+
+SituationPart = Literal["command", "previous_command", "pose", "elapsed_s", "duration_s"]
+Kinematics = Literal["differential_drive", "unicycle", "tail_fin"]
+Positive = Annotated[float, Field(gt=0)]
+
+
+def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
+    if not bounds[0] < bounds[1]:
+        raise ValueError(f"the lower bound must be below the upper one, got [{bounds[0]}, {bounds[1]}]")
+    return bounds
+
+
+Bounds = Annotated[tuple[float, float], AfterValidator(_increasing)]
+
+
+class StrictModel(BaseModel):
+    """A typed piece of configuration: unknown fields and wrong types are errors, and it never changes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    @classmethod
+    def parse(cls, content: Any, where: str) -> Self:
+        """Validate `content`, read from `where`.
+
+        Raises:
+            UserError: naming `where`, the field, and for an unknown field the one probably meant.
+        """
+        try:
+            return cls.model_validate(content)
+        except ValidationError as error:
+            first = error.errors()[0]
+            field = ".".join(str(part) for part in first["loc"]) or "content"
+            if first["type"] == "extra_forbidden":
+                raise UserError(f"{where}: unknown field {field!r}: {near_miss(field, cls.model_fields)}") from None
+            got = "" if first["type"] == "missing" else f", got {first['input']!r}"
+            raise UserError(f"{where}: field {field!r}: {first['msg']}{got}") from None
+
+
+class Arena(StrictModel):
+    """The rectangle that vehicles move in, in mm, in the arena's frame."""
+
+    x: Bounds
+    y: Bounds
+
+    @property
+    def low_mm(self) -> np.ndarray:
+        """The lower corner, (2,)."""
+        return np.array([self.x[0], self.y[0]])
+
+    @property
+    def high_mm(self) -> np.ndarray:
+        """The upper corner, (2,)."""
+        return np.array([self.x[1], self.y[1]])
+
+
+class CommandColumn(StrictModel):
+    """One number of a command: its limits, inclusive, and its unit."""
+
+    low: float
+    high: float
+    unit: str
+
+    @model_validator(mode="after")
+    def _limits_in_order(self) -> Self:
+        _increasing((self.low, self.high))
+        return self
+
+
+class LargestDisplacement(StrictModel):
+    """The largest believable motion over one period, as absolute values: beyond it a transition is an outlier."""
+
+    forward_mm: Positive
+    left_mm: Positive
+    turn_rad: Positive
+
+
+class Robot(StrictModel):
+    """A kind of vehicle. Everything that swarmtwin knows of it stands in one file in `conf/robot/`.
+
+    Attributes:
+        name: the file's name; also that of the registered models, `<name>-dynamics`.
+        title: what people call it, for tables and figures.
+        period_s: control period; a row's command is held this long.
+        longest_gap_s: two rows of a vehicle further apart than this make no transition.
+        command: its columns, in order.
+        arena_mm: the usual arena; each recording states its own.
+        largest_displacement: the outlier limits of one transition.
+        situation: what its dynamics models are given (the paper: command for the MGR, command and pose for the MUR).
+        kinematics: the kinematic model fitted as a baseline.
+        vehicle_size_mm: footprint (length, width), for pictures and collisions.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+    title: str
+    period_s: Positive
+    longest_gap_s: Positive
+    command: Annotated[dict[str, CommandColumn], Field(min_length=1)]
+    arena_mm: Arena
+    largest_displacement: LargestDisplacement
+    situation: tuple[SituationPart, ...]
+    kinematics: Kinematics
+    vehicle_size_mm: tuple[Positive, Positive]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if taken := [column for column in self.command if column in RESERVED_COLUMNS]:
+            raise ValueError(f"command column {taken[0]!r} is a reserved name: {', '.join(RESERVED_COLUMNS)}")
+        if "command" not in self.situation:
+            raise ValueError("situation must contain 'command'")
+        if self.longest_gap_s < self.period_s:
+            raise ValueError(f"longest_gap_s {self.longest_gap_s} is shorter than the period {self.period_s}")
+        return self
+
+    @classmethod
+    def load(cls, path: Path) -> "Robot":
+        """Read a robot from its YAML file.
+
+        Raises:
+            UserError: the file is missing, no YAML, or not a robot.
+        """
+        try:
+            content = yaml.safe_load(path.read_text())
+        except FileNotFoundError:
+            known = [file.stem for file in path.parent.glob("*.yaml")]
+            raise UserError(f"no robot file {path}: {near_miss(path.stem, known)}") from None
+        except yaml.YAMLError as error:
+            raise UserError(f"{path} is not valid YAML: {error}") from None
+        return cls.parse(content, str(path))
+
+    @property
+    def command_columns(self) -> tuple[str, ...]:
+        """Names of the command's columns, in order."""
+        return tuple(self.command)
+
+    @property
+    def command_low(self) -> np.ndarray:
+        """Lower command limits, (m,)."""
+        return np.array([column.low for column in self.command.values()])
+
+    @property
+    def command_high(self) -> np.ndarray:
+        """Upper command limits, (m,)."""
+        return np.array([column.high for column in self.command.values()])
+
+    @property
+    def displacement_limit(self) -> np.ndarray:
+        """Largest believable absolute displacement over one period, (3,): mm, mm, rad."""
+        largest = self.largest_displacement
+        return np.array([largest.forward_mm, largest.left_mm, largest.turn_rad])
