@@ -5,7 +5,7 @@ from collections.abc import Iterable
 
 
 class UserError(Exception):
-    """Something the user can put right. Its message names what is wrong, where, and the remedy; no traceback is shown."""
+    """Something the user can put right: its message names what is wrong, where, and the remedy."""
 
 
 def near_miss(word: str, known: Iterable[str]) -> str:

@@ -3,7 +3,6 @@
 import contextlib
 import fcntl
 import json
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -84,11 +83,11 @@ def _lock(path: Path) -> Iterator[None]:
 
 def _replace_folder(new: Path, path: Path) -> None:
     if not path.exists():
-        os.replace(new, path)
+        new.replace(path)
         return
     old = path.with_name(f".{path.name}.old.partial")
     if old.exists():
         shutil.rmtree(old)
-    os.replace(path, old)
-    os.replace(new, path)
+    path.replace(old)
+    new.replace(path)
     shutil.rmtree(old)

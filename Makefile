@@ -1,0 +1,52 @@
+# The two commands of a fresh machine: `make run` and `make test`. Everything lives in .venv/, artifacts/ and mlflow.db.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/pip --disable-pip-version-check install --quiet
+export DVC_NO_ANALYTICS := true
+export MLFLOW_DISABLE_TELEMETRY := true
+export OMP_NUM_THREADS := 1
+
+.PHONY: help setup run test benchmark lint ui data lock clean
+
+help:
+	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
+	@echo "make test       set up, run all tests"
+	@echo "make lint       set up, check style and types"
+	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
+	@echo "make benchmark  speed and memory, as figures and ratios"
+	@echo "make data       drive the stand-in robots again: the recordings in data/, anew"
+	@echo "make lock       pin the environment as it is installed now in constraints.txt"
+
+setup: .venv/installed
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(PIP) --constraint constraints.txt torch==2.13.0
+	$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+run: setup
+	$(BIN)/dvc pull --quiet data
+	$(BIN)/dvc repro
+	$(BIN)/swarmtwin promote robot=mgr candidate=artifacts/comparison/mgr/best
+	$(BIN)/swarmtwin promote robot=mur candidate=artifacts/comparison/mur/best
+	$(BIN)/swarmtwin experiment name=overview
+
+test: setup
+	$(BIN)/dvc pull --quiet data
+	$(BIN)/pytest -n 2 tests
+	$(BIN)/pytest --nbmake notebooks
+
+benchmark: setup
+	$(BIN)/pytest -m benchmark_figures -s tests/benchmarks
+
+lint: setup
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+ui: setup
+	$(BIN)/mlflow ui --backend-store-uri $${MLFLOW_TRACKING_URI:-sqlite:///mlflow.db} --host 127.0.0.1 --port 5000
+
+lock: setup
+	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > constraints.txt

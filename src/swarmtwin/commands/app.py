@@ -1,0 +1,125 @@
+"""Runs one command as a Hydra app: composes its configuration, types it, turns a user's mistake into one line."""
+
+import errno
+import importlib
+import logging
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NoReturn
+
+import hydra
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+
+from swarmtwin.errors import UserError, near_miss
+
+FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+
+
+def config_folder() -> Path:
+    """Return `conf/`: inside the installed package, or at the top of the repository it is developed in."""
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "conf"
+    return installed if installed.is_dir() else package.parents[1] / "conf"
+
+
+def run_command(name: str, module_name: str, arguments: list[str]) -> int:
+    """Run command `name` with Hydra `arguments`; return its exit status."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    sys.argv = [f"swarmtwin {name}", *arguments]
+    signal.signal(signal.SIGTERM, _interrupt)
+    _start_logging()
+    config_name = name
+    try:
+        if name == "experiment":
+            config_name = _experiment_config(arguments)
+        module = importlib.import_module(f"swarmtwin.commands.{module_name}")
+        hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")(_task(name, module))()
+    except UserError as error:
+        return _report(name, str(error), FAILED)
+    except (HydraException, OmegaConfBaseException) as error:
+        return _report(name, explain(error, config_name), MISUSED)
+    except OSError as error:
+        if error.errno not in _SYSTEM_FAULTS:
+            raise
+        where = f" ({error.filename})" if error.filename else ""
+        return _report(name, f"{_SYSTEM_FAULTS[error.errno]}{where}; nothing was changed", FAILED)
+    except KeyboardInterrupt:
+        return _report(name, "interrupted; what had not finished was left out", INTERRUPTED)
+    return 0
+
+
+_SYSTEM_FAULTS = {
+    errno.ENOSPC: "the disk is full: make room and run the same command again",
+    errno.EDQUOT: "the disk quota is used up: make room and run the same command again",
+    errno.EACCES: "no permission to read or write",
+    errno.EROFS: "the output is on a read-only file system: choose another output",
+    errno.EFBIG: "a file grew beyond the allowed size",
+}
+
+
+def _task(name: str, module: Any) -> Callable[[DictConfig], Any]:
+    def task(config: DictConfig) -> Any:
+        content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        return module.run(module.Options.parse(content, f"swarmtwin {name}"))
+
+    return task
+
+
+def explain(error: Exception, config_name: str) -> str:
+    """Say in one line what a Hydra or OmegaConf error means and what to do, naming the option probably meant."""
+    text = str(error)
+    if isinstance(error, MissingMandatoryValue):
+        option = text.rsplit(" ", maxsplit=1)[-1].strip(".'\"")
+        return f"option {option!r} is missing: add {option}=..."
+    if isinstance(error, MissingConfigException):
+        if missing := re.search(r"Could not find '([^']+)/([^'/]+)'", text):
+            group, choice = missing.groups()
+            known = [path.stem for path in (config_folder() / group).glob("*.yaml")]
+            return f"no such {group}: {choice!r}: {near_miss(choice, known)}"
+        return text.splitlines()[0]
+    if unknown := re.search(r"Could not override '([^']+)'", text):
+        option = unknown.group(1)
+        return f"unknown option {option!r}: {near_miss(option, _known_options(config_name, option))}"
+    return " ".join(text.split())
+
+
+def _known_options(config_name: str, option: str) -> list[str]:
+    """List the options of a command beside `option`: those at the same depth and under the same parent."""
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = hydra.compose(config_name)
+    parent = option.rpartition(".")[0]
+    node = OmegaConf.select(config, parent) if parent else config
+    prefix = f"{parent}." if parent else ""
+    return [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
+
+
+def _experiment_config(arguments: list[str]) -> str:
+    """Find the experiment's own configuration from `name=...`: conf/experiment/<name>.yaml."""
+    known = [path.stem for path in (config_folder() / "experiment").glob("*.yaml")]
+    chosen = [argument.partition("=")[2] for argument in arguments if argument.startswith("name=")]
+    if not chosen:
+        raise UserError(f"say which experiment: name=..., {near_miss('', known)}")
+    if chosen[-1] not in known:
+        raise UserError(f"no such experiment: {chosen[-1]!r}: {near_miss(chosen[-1], known)}")
+    return f"experiment/{chosen[-1]}"
+
+
+def _report(name: str, message: str, status: int) -> int:
+    print(f"swarmtwin {name}: {message}", file=sys.stderr)
+    return status
+
+
+def _start_logging() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    for noisy in ("alembic", "mlflow", "lightning", "matplotlib", "fontTools", "hydra"):
+        logging.getLogger(noisy).setLevel(logging.WARNING)
+
+
+def _interrupt(signal_number: int, frame: Any) -> NoReturn:
+    raise KeyboardInterrupt

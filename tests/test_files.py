@@ -1,0 +1,107 @@
+import json
+import multiprocessing
+
+import pytest
+
+from swarmtwin.errors import UserError
+from swarmtwin.files import new_folder, write_text
+
+
+def fill(path, text="new", **options):
+    with new_folder(path, "test", **options) as folder:
+        (folder / "content").write_text(text)
+
+
+def test_a_folder_appears_whole_with_its_provenance(tmp_path):
+    fill(tmp_path / "deep" / "out", config={"seed": 1})
+    assert (tmp_path / "deep" / "out" / "content").read_text() == "new"
+    provenance = json.loads((tmp_path / "deep" / "out" / "provenance.json").read_text())
+    assert provenance["command"] == "test"
+    assert provenance["config"] == {"seed": 1}
+    assert [path.name for path in (tmp_path / "deep").iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, OSError(28, "No space left on device")])
+def test_a_failure_in_the_middle_leaves_nothing(tmp_path, failure):
+    def fail():
+        with new_folder(tmp_path / "out", "test") as folder:
+            (folder / "half").write_text("half")
+            raise failure
+
+    with pytest.raises(failure if isinstance(failure, type) else OSError):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_replacement_leaves_the_former_output(tmp_path):
+    fill(tmp_path / "out", "former")
+
+    def fail():
+        with new_folder(tmp_path / "out", "test", overwrite=True):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    assert (tmp_path / "out" / "content").read_text() == "former"
+
+
+def test_what_is_there_is_replaced_only_when_asked(tmp_path):
+    fill(tmp_path / "out", "former")
+    with pytest.raises(UserError, match="already holds something: choose another, or add overwrite=true"):
+        fill(tmp_path / "out")
+    fill(tmp_path / "out", overwrite=True)
+    assert (tmp_path / "out" / "content").read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_of_the_users_own_is_never_replaced(tmp_path):
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter1").write_text("years of work")
+    with pytest.raises(UserError, match="was not made by swarmtwin, so overwrite=true leaves it alone"):
+        fill(tmp_path / "thesis", overwrite=True)
+    assert (tmp_path / "thesis" / "chapter1").read_text() == "years of work"
+
+
+def test_a_file_in_the_way_is_named(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    with pytest.raises(UserError, match="is a file: name a folder"):
+        fill(tmp_path / "out")
+
+
+def test_unfinished_work_is_kept_aside_and_found_again(tmp_path):
+    def interrupted():
+        with new_folder(tmp_path / "out", "test", keep_partial=True) as folder:
+            (folder / "checkpoint").write_text("epoch 3")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not (tmp_path / "out").exists()
+    with new_folder(tmp_path / "out", "test", keep_partial=True) as folder:
+        assert (folder / "checkpoint").read_text() == "epoch 3"
+    assert (tmp_path / "out" / "checkpoint").exists()
+
+
+def hold(path, started, release):
+    with new_folder(path, "test"):
+        started.set()
+        release.wait(20)
+
+
+def test_two_processes_do_not_write_one_folder(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    started, release = context.Event(), context.Event()
+    process = context.Process(target=hold, args=(tmp_path / "out", started, release))
+    process.start()
+    assert started.wait(20)
+    with pytest.raises(UserError, match="another process is writing"):
+        fill(tmp_path / "out")
+    release.set()
+    process.join()
+    assert (tmp_path / "out" / "provenance.json").exists()
+
+
+def test_a_text_is_replaced_whole(tmp_path):
+    write_text(tmp_path / "table.csv", "a")
+    write_text(tmp_path / "table.csv", "b")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["b"]

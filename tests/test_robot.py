@@ -1,0 +1,63 @@
+import numpy as np
+import pytest
+import yaml
+
+from conftest import REPOSITORY
+from swarmtwin.errors import UserError
+from swarmtwin.robot import Robot
+
+MGR = REPOSITORY / "conf" / "robot" / "mgr.yaml"
+
+
+def changed(tmp_path, **changes):
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({**yaml.safe_load(MGR.read_text()), **changes}))
+    return path
+
+
+def test_the_shipped_robots_are_those_of_the_design(robots):
+    limits = {name: list(zip(r.command_low, r.command_high, strict=True)) for name, r in robots.items()}
+    assert limits == {
+        "mgr": [(-120, 120), (-120, 120)],
+        "mur": [(-79, 79), (0, 60), (3, 9)],
+        "create": [(0, 100), (-0.6, 0.6)],
+    }
+    assert {name: robot.period_s for name, robot in robots.items()} == {"mgr": 0.5, "mur": 0.8, "create": 0.5}
+    assert robots["mur"].command_columns == ("mean_angle_deg", "amplitude_deg", "frequency_rad_s")
+
+
+def test_yaml_and_python_give_the_same_robot(robots):
+    again = Robot.parse(robots["mgr"].model_dump(mode="json"), "memory")
+    assert again == robots["mgr"]
+    np.testing.assert_array_equal(again.displacement_limit, [50, 25, 1.4])
+
+
+def test_a_robot_of_ones_own_is_one_file(tmp_path):
+    robot = Robot.load(changed(tmp_path, name="mine", command={"thrust": {"low": 0, "high": 1, "unit": "1"}}))
+    assert robot.command_columns == ("thrust",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"peroid_s": 1}, "unknown field 'peroid_s': did you mean 'period_s'?"),
+        ({"period_s": "soon"}, "field 'period_s': Input should be a valid number"),
+        ({"period_s": -1}, "field 'period_s': Input should be greater than 0, got -1"),
+        ({"longest_gap_s": 0.1}, "longest_gap_s 0.1 is shorter than the period 0.5"),
+        ({"arena_mm": {"x": [5, 0], "y": [0, 1]}}, "the lower bound must be below the upper one, got [5.0, 0.0]"),
+        ({"command": {"x_mm": {"low": 0, "high": 1, "unit": "mm"}}}, "command column 'x_mm' is a reserved name"),
+        ({"situation": ["pose"]}, "situation must contain 'command'"),
+        ({"command": {}}, "field 'command': Dictionary should have at least 1 item"),
+    ],
+)
+def test_a_wrong_robot_file_is_one_clear_error(tmp_path, changes, message):
+    path = changed(tmp_path, **changes)
+    with pytest.raises(UserError) as error:
+        Robot.load(path)
+    assert str(path) in str(error.value)
+    assert message in str(error.value)
+
+
+def test_a_missing_robot_names_those_there_are():
+    with pytest.raises(UserError, match=r"no robot file .*mgrr.yaml: did you mean 'mgr'\? known: create, mgr, mur"):
+        Robot.load(MGR.with_name("mgrr.yaml"))
