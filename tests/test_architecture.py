@@ -1,4 +1,4 @@
-"""The house keeps its shape: imports run downwards only, and nobody but commands and tests looks inside the stand-ins."""
+"""The house keeps its shape: imports run downwards, and only commands and tests look inside the stand-ins."""
 
 import ast
 from pathlib import Path

@@ -23,7 +23,6 @@ from sqlalchemy.exc import SQLAlchemyError
 from swarmtwin.errors import UserError
 
 Experiment = Literal["dynamics", "generator", "diagnosis", "policy", "transfer", "deployment"]
-DEFAULT_STORE = "sqlite:///mlflow.db"
 PARENT_RUN = "SWARMTWIN_PARENT_RUN"
 LONGEST_PARAMETER = 500
 
@@ -60,11 +59,14 @@ class TrackedRun:
         return mlflow.get_artifact_uri(name)
 
 
-def use_store() -> str:
-    """Point MLflow at the store of `MLFLOW_TRACKING_URI`, or at `mlflow.db` in this folder; return its URI."""
-    uri = os.environ.get("MLFLOW_TRACKING_URI", DEFAULT_STORE)
-    mlflow.set_tracking_uri(uri)
-    return uri
+def use_store() -> None:
+    """Point MLflow at its store."""
+    mlflow.set_tracking_uri(store_uri())
+
+
+def store_uri() -> str:
+    """Return where MLflow keeps runs and models: `MLFLOW_TRACKING_URI`, or else `mlflow.db` in this folder."""
+    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
 
 
 @contextmanager
@@ -146,12 +148,10 @@ def store_errors() -> Iterator[None]:
     """Turn a failure of the tracking store into one clear message."""
     try:
         yield
-    except (MlflowException, SQLAlchemyError) as error:
-        uri = os.environ.get("MLFLOW_TRACKING_URI", DEFAULT_STORE)
+    except (MlflowException, SQLAlchemyError, OSError) as error:
         reason = str(error).strip().splitlines()[0]
-        raise UserError(
-            f"the MLflow store {uri} cannot be used ({reason}): start its server, or set MLFLOW_TRACKING_URI to another"
-        ) from error
+        remedy = "start its server, or set MLFLOW_TRACKING_URI to another"
+        raise UserError(f"the MLflow store {store_uri()} cannot be used ({reason}): {remedy}") from error
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
