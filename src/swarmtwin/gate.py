@@ -1,4 +1,4 @@
-"""The gate before promotion: is one model measurably better than another on the same held-out transitions?"""
+"""The gate before promotion: whether one model is measurably better than another on held-out transitions."""
 
 from dataclasses import dataclass
 

@@ -22,7 +22,7 @@ COMMANDS = {
     "evaluate": Command("evaluate", "a simulation model against measured runs: one-step, floor, open loop"),
     "tune": Command("tune", "search hyper-parameters with Optuna, several processes on one study"),
     "promote": Command("promote", "make a registered model the champion, if it passes the gate; or roll back"),
-    "experiment": Command("experiment", "a table or figure of the paper, or an overview of the pipeline"),
+    "experiment": Command("experiments", "a table or figure of the paper, or an overview of the pipeline"),
 }
 
 HELP = """swarmtwin: learn one robot's motion from its recording, and simulate the group

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -37,9 +39,14 @@ def run_command(name: str, module_name: str, arguments: list[str]) -> int:
     config_name = name
     try:
         if name == "experiment":
-            config_name = _experiment_config(arguments)
+            chosen = _chosen_experiment(arguments)
+            config_name, module_name = f"experiment/{chosen}", f"experiments.{chosen}"
         module = importlib.import_module(f"swarmtwin.commands.{module_name}")
-        hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")(_task(name, module))()
+        failures: list[Exception] = []
+        app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
+        app(_task(module, failures))()
+        if failures:
+            raise failures[0]
     except UserError as error:
         return _report(name, str(error), FAILED)
     except (HydraException, OmegaConfBaseException) as error:
@@ -63,10 +70,17 @@ _SYSTEM_FAULTS = {
 }
 
 
-def _task(name: str, module: Any) -> Callable[[DictConfig], Any]:
+def _task(module: Any, failures: list[Exception]) -> Callable[[DictConfig], Any]:
+    """Return what Hydra calls. A single run's failure is kept, since Hydra would print more than the one line."""
+
     def task(config: DictConfig) -> Any:
-        content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-        return module.run(module.Options.parse(content, f"swarmtwin {name}"))
+        try:
+            content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+            return module.run(module.Options.parse(content, "options"))
+        except Exception as error:
+            if HydraConfig.get().mode != RunMode.RUN:
+                raise
+            failures.append(error)
 
     return task
 
@@ -75,8 +89,7 @@ def explain(error: Exception, config_name: str) -> str:
     """Say in one line what a Hydra or OmegaConf error means and what to do, naming the option probably meant."""
     text = str(error)
     if isinstance(error, MissingMandatoryValue):
-        option = text.rsplit(" ", maxsplit=1)[-1].strip(".'\"")
-        return f"option {option!r} is missing: add {option}=..."
+        return f"option {error.full_key!r} is missing: add {error.full_key}=..."
     if isinstance(error, MissingConfigException):
         if missing := re.search(r"Could not find '([^']+)/([^'/]+)'", text):
             group, choice = missing.groups()
@@ -99,15 +112,15 @@ def _known_options(config_name: str, option: str) -> list[str]:
     return [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
 
 
-def _experiment_config(arguments: list[str]) -> str:
-    """Find the experiment's own configuration from `name=...`: conf/experiment/<name>.yaml."""
+def _chosen_experiment(arguments: list[str]) -> str:
+    """Find the experiment in `name=...`: its options stand in conf/experiment/<name>.yaml."""
     known = [path.stem for path in (config_folder() / "experiment").glob("*.yaml")]
     chosen = [argument.partition("=")[2] for argument in arguments if argument.startswith("name=")]
     if not chosen:
-        raise UserError(f"say which experiment: name=..., {near_miss('', known)}")
+        raise UserError(f"say which: name=..., {near_miss('', known)}")
     if chosen[-1] not in known:
         raise UserError(f"no such experiment: {chosen[-1]!r}: {near_miss(chosen[-1], known)}")
-    return f"experiment/{chosen[-1]}"
+    return chosen[-1]
 
 
 def _report(name: str, message: str, status: int) -> int:

@@ -1,7 +1,7 @@
 """What a recording is in memory: its header, and one track for each vehicle in each run."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -79,3 +79,7 @@ class Recording:
     def vehicles(self) -> tuple[str, ...]:
         """Ids of the vehicles that occur, sorted."""
         return tuple(sorted({track.vehicle for track in self.tracks}))
+
+    def where(self, chosen: Callable[[Track], bool]) -> "Recording":
+        """Return the part of the recording whose tracks are `chosen`; its digest stays that of the whole."""
+        return replace(self, tracks=tuple(track for track in self.tracks if chosen(track)))

@@ -1,12 +1,15 @@
-"""Recordings become transitions: situation, command and the displacement that followed over one control period."""
+"""What transitions are in memory: aligned arrays, one row a transition."""
 
+import dataclasses
 from dataclasses import dataclass
+from typing import Literal, Self
 
 import numpy as np
 
 from swarmtwin.robot import Robot
 
-SPLITS = ("train", "validation", "test")
+Split = Literal["train", "validation", "test"]
+SPLITS: tuple[Split, ...] = ("train", "validation", "test")
 
 
 @dataclass(frozen=True)
@@ -43,3 +46,16 @@ class Transitions:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def where(self, chosen: np.ndarray) -> Self:
+        """Return the transitions chosen by a mask (N,) or by indices; `runs` and `vehicles` stay, so indices hold."""
+        arrays = {
+            field.name: value[chosen]
+            for field in dataclasses.fields(self)
+            if isinstance(value := getattr(self, field.name), np.ndarray)
+        }
+        return dataclasses.replace(self, **arrays)
+
+    def part(self, split: Split) -> Self:
+        """Return the transitions of one split."""
+        return self.where(self.split == SPLITS.index(split))

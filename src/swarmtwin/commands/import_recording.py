@@ -1,0 +1,75 @@
+"""`swarmtwin import`: foreign data become a recording."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+from rich.console import Console
+from rich.table import Table
+
+from swarmtwin.errors import UserError, near_miss
+from swarmtwin.files import new_folder
+from swarmtwin.recordings.mrclam import read_mrclam
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.recordings.writing import FileFormat, write_recording
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.transitions import Counts, Transitions, from_recording
+
+Importer = Callable[[Path, Robot, tuple[str, ...] | None, float], tuple[Header, list[Track]]]
+
+# A new source is one module that reads it, and one entry here.
+IMPORTERS: dict[str, Importer] = {"mrclam": read_mrclam}
+
+
+def _ids(vehicles: Any) -> Any:
+    """On a command line, ids look like numbers: vehicles=1, vehicles=[1,2]."""
+    if isinstance(vehicles, str | int):
+        vehicles = [vehicles]
+    return [str(vehicle) for vehicle in vehicles] if isinstance(vehicles, list | tuple) else vehicles
+
+
+class Options(StrictModel):
+    """Options of `swarmtwin import`; their defaults stand in conf/import.yaml."""
+
+    robot: Robot
+    source: str
+    path: Path
+    vehicles: Annotated[tuple[str, ...] | None, BeforeValidator(_ids)]
+    run_s: Annotated[float, Field(gt=0)]
+    output: Path
+    format: FileFormat
+    overwrite: bool
+
+
+def run(options: Options) -> None:
+    """Import, check that the recording can be read, and show what it holds.
+
+    Raises:
+        UserError: the source is unknown, its data are missing or damaged, or the output is taken.
+    """
+    if options.source not in IMPORTERS:
+        raise UserError(f"unknown source {options.source!r}: {near_miss(options.source, IMPORTERS)}")
+    config = options.model_dump(mode="json")
+    with new_folder(options.output, "import", config, options.overwrite) as folder:
+        importer = IMPORTERS[options.source]
+        header, tracks = importer(options.path, options.robot, options.vehicles, options.run_s)
+        write_recording(folder, options.robot, header, tracks, options.format)
+        recording = read_recording(folder, options.robot)
+        transitions, counts = from_recording(recording)
+    Console().print(_summary(recording, transitions, counts))
+
+
+def _summary(recording: Recording, transitions: Transitions, counts: Counts) -> Table:
+    dropped = sum(counts.dropped.values())
+    title = f"{recording.robot.title}: {len(recording.runs)} runs, {counts.kept} transitions, {dropped} dropped"
+    table = Table("vehicle", "runs", "rows", "transitions", title=title)
+    for index, vehicle in enumerate(recording.vehicles):
+        tracks = [track for track in recording.tracks if track.vehicle == vehicle]
+        usable = int(np.sum(transitions.vehicle == index))
+        table.add_row(vehicle, str(len(tracks)), str(sum(map(len, tracks))), str(usable))
+    for column in table.columns[1:]:
+        column.justify = "right"
+    return table

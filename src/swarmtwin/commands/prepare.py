@@ -1,0 +1,66 @@
+"""`swarmtwin prepare`: a recording becomes transitions, checked, counted by reason and split by run."""
+
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from swarmtwin.errors import UserError
+from swarmtwin.files import new_folder
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.recordings.tracks import ROW_REASONS
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.transitions import SPLITS, Fractions, Preparation, from_recording, split_by_run
+from swarmtwin.transitions.extraction import REASONS
+from swarmtwin.transitions.preparation import describe, save_preparation
+
+
+class Options(StrictModel):
+    """Options of `swarmtwin prepare`; their defaults stand in conf/prepare.yaml."""
+
+    robot: Robot
+    recording: Path
+    fractions: Fractions
+    seed: int
+    output: Path
+    overwrite: bool
+
+
+def run(options: Options) -> None:
+    """Prepare a recording and show what was kept, what was dropped and why.
+
+    Raises:
+        UserError: the recording is at fault, has too few runs to split, or the output is taken.
+    """
+    if options.recording.resolve().is_relative_to(options.output.resolve()):
+        raise UserError(f"output {options.output} would replace the recording: choose another folder")
+    with new_folder(options.output, "prepare", options.model_dump(mode="json"), options.overwrite) as folder:
+        recording = read_recording(options.recording, options.robot)
+        transitions, counts = from_recording(recording)
+        transitions = split_by_run(transitions, options.fractions, options.seed)
+        name = options.recording.resolve().name
+        preparation = describe(recording, name, transitions, counts, options.fractions, options.seed)
+        save_preparation(folder, transitions, preparation)
+    for table in summary(preparation):
+        Console().print(table)
+
+
+def summary(preparation: Preparation) -> tuple[Table, Table]:
+    """Return two tables a person reads: what became of the recording, and how it is split."""
+    counts = preparation.counts
+    kept = Table("", "count", "", title=f"{preparation.recording} ({preparation.robot})")
+    kept.add_row("rows read", str(counts.rows), "")
+    for reason, count in counts.dropped_rows.items():
+        kept.add_row(f"  {reason}", str(count), ROW_REASONS[reason])
+    kept.add_row("pairs of rows", str(counts.considered), "")
+    for reason, count in counts.dropped.items():
+        kept.add_row(f"  {reason}", str(count), REASONS[reason])
+    kept.add_row("transitions kept", str(counts.kept), f"{counts.kept / counts.considered:.2%}")
+    splits = Table("split", "runs", "transitions", "share")
+    for split in SPLITS:
+        number = preparation.transitions[split]
+        splits.add_row(split, str(len(preparation.runs[split])), str(number), f"{number / counts.kept:.1%}")
+    for table, columns in ((kept, (1,)), (splits, (1, 2, 3))):
+        for column in columns:
+            table.columns[column].justify = "right"
+    return kept, splits

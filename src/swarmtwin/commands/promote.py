@@ -1,0 +1,100 @@
+"""`swarmtwin promote`: the gate that a registered model passes to become the champion, and the way back."""
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from swarmtwin import gate, registry
+from swarmtwin.commands.measurement import load_simulation
+from swarmtwin.commands.sources import read_vehicles
+from swarmtwin.dynamics.evaluation import predict
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import orientation_error_rad, position_error_mm
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.tracking import tracked_run
+from swarmtwin.transitions import Transitions, from_recording
+
+
+class Options(StrictModel):
+    """Options of `swarmtwin promote`; their defaults stand in conf/promote.yaml."""
+
+    robot: Robot
+    candidate: str
+    recording: Path
+    rollback: bool
+
+
+def run(options: Options) -> None:
+    """Promote the candidate or refuse it, saying why; or roll back.
+
+    Raises:
+        UserError: the gate refuses, there is no such candidate, or nothing to measure it on.
+    """
+    name = f"{options.robot.name}-dynamics"
+    if options.rollback:
+        deposed, restored = registry.roll_back(name)
+        Console().print(f"{name}: version {restored} is champion again, version {deposed} no longer", highlight=False)
+        return
+    candidate = _find(name, options.candidate, options.robot)
+    incumbent = registry.champion(name)
+    if incumbent and incumbent.number == candidate.number:
+        Console().print(f"{candidate} is the champion already", highlight=False)
+        return
+    recording = read_vehicles(options.recording, options.robot, None)
+    verdict = _judge(candidate, incumbent, options.robot, recording)
+    rival = f"than {incumbent}" if incumbent else "than predicting the mean displacement (there is no champion yet)"
+    reason = f"{verdict} {rival} on {options.recording}"
+    if not verdict.passed:
+        stays = f"; {incumbent} stays champion" if incumbent else ""
+        raise UserError(f"{candidate} is not promoted: {reason}{stays}")
+    registry.crown(candidate, reason)
+    Console().print(f"{candidate} is champion: {reason}", highlight=False)
+
+
+def _find(name: str, candidate: str, robot: Robot) -> registry.Version:
+    """Return the version meant; a folder that is no version yet is registered first."""
+    if candidate == registry.CHALLENGER:
+        return registry.find_version(f"models:/{name}@{candidate}")
+    if candidate.isdigit():
+        return registry.find_version(f"models:/{name}/{candidate}")
+    if candidate.startswith("models:"):
+        version = registry.find_version(candidate)
+        if version.name != name:
+            raise UserError(f"{candidate} is no dynamics model of robot {robot.name!r}: add robot=...")
+        return version
+    folder = registry.model_folder(candidate)
+    _, provenance = load_simulation(folder, robot)
+    if known := registry.version_of(name, folder):
+        return known
+    with tracked_run("dynamics", f"register {folder}", {"candidate": candidate}, [folder], provenance.seed) as tracked:
+        kept = tracked.folder(folder, "model")
+    chosen = provenance.chosen
+    figures = {"position_mm": chosen.position_mm, "orientation_deg": chosen.orientation_deg}
+    return registry.register(name, folder, kept, tracked.run_id, figures)
+
+
+def _judge(
+    candidate: registry.Version, incumbent: registry.Version | None, robot: Robot, recording: Recording
+) -> gate.Verdict:
+    """Compare both on what neither has seen; without a champion, compare with always predicting the mean."""
+    simulation, provenance = load_simulation(candidate.folder(), robot)
+    unseen = provenance.unseen_part(recording)
+    rival, rival_provenance = load_simulation(incumbent.folder(), robot) if incumbent else (None, provenance)
+    transitions, _ = from_recording(_common(unseen, rival_provenance.unseen_part(recording)))
+    usual = np.broadcast_to(transitions.displacement.mean(axis=0), (len(transitions), 3))
+    rival_errors = _errors(predict(rival, transitions) if rival else usual, transitions)
+    return gate.judge(_errors(predict(simulation, transitions), transitions), rival_errors, transitions.run)
+
+
+def _common(first: Recording, second: Recording) -> Recording:
+    kept = {(track.run, track.vehicle) for track in second.tracks}
+    return first.where(lambda track: (track.run, track.vehicle) in kept)
+
+
+def _errors(predicted: np.ndarray, transitions: Transitions) -> gate.Errors:
+    return gate.Errors(
+        position_error_mm(predicted, transitions.displacement),
+        np.degrees(orientation_error_rad(predicted, transitions.displacement)),
+    )

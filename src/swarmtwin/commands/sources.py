@@ -1,0 +1,81 @@
+"""Where commands take their measured data from: folders that `prepare` made, or recordings."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BeforeValidator
+
+from swarmtwin.commands.app import config_folder
+from swarmtwin.errors import UserError, near_miss
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import Robot
+from swarmtwin.transitions import (
+    Fractions,
+    Preparation,
+    Transitions,
+    from_recording,
+    load_preparation,
+    load_transitions,
+    split_by_run,
+)
+from swarmtwin.transitions.preparation import describe
+
+
+def _texts(value: Any) -> Any:
+    if isinstance(value, str | int):
+        value = [value]
+    return [str(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+Vehicles = Annotated[tuple[str, ...] | None, BeforeValidator(_texts)]
+"""Ids of vehicles as typed in a command, where they look like numbers: vehicles=1, vehicles=[1,2]."""
+
+
+def training_transitions(
+    robot: Robot, transitions: Path | None, recording: Path | None, vehicles: Vehicles
+) -> tuple[Transitions, Preparation, Path]:
+    """Return transitions with their splits, how they came about, and the folder they come from.
+
+    A recording is prepared on the way, with the shares and the seed of conf/prepare.yaml.
+
+    Raises:
+        UserError: both or neither are there, the data are of another robot, or at fault.
+    """
+    if transitions and recording:
+        raise UserError("give transitions=... or recording=..., not both")
+    if recording:
+        return *_prepared(read_vehicles(recording, robot, vehicles), recording.resolve().name), recording
+    if vehicles is not None:
+        raise UserError("vehicles=... chooses from a recording: give recording=... as well")
+    folder = transitions or Path("artifacts/transitions") / robot.name
+    if transitions is None and not folder.is_dir():
+        raise UserError(f"no transitions in {folder}: run `dvc repro` first, or give recording=... or transitions=...")
+    preparation = load_preparation(folder)
+    if preparation.robot != robot.name:
+        raise UserError(f"{folder} holds transitions of robot {preparation.robot!r}: add robot={preparation.robot}")
+    return load_transitions(folder), preparation, folder
+
+
+def read_vehicles(folder: Path, robot: Robot, vehicles: Vehicles) -> Recording:
+    """Read a recording, or the part of it that some vehicles drove.
+
+    Raises:
+        UserError: the recording is at fault, or a vehicle does not occur in it.
+    """
+    recording = read_recording(folder, robot)
+    if vehicles is None:
+        return recording
+    for vehicle in vehicles:
+        if vehicle not in recording.vehicles:
+            raise UserError(f"{folder}: no vehicle {vehicle!r}: {near_miss(vehicle, recording.vehicles)}")
+    return recording.where(lambda track: track.vehicle in vehicles)
+
+
+def _prepared(recording: Recording, name: str) -> tuple[Transitions, Preparation]:
+    defaults = yaml.safe_load((config_folder() / "prepare.yaml").read_text())
+    fractions, seed = Fractions.parse(defaults["fractions"], "conf/prepare.yaml: fractions"), defaults["seed"]
+    transitions, counts = from_recording(recording)
+    transitions = split_by_run(transitions, fractions, seed)
+    return transitions, describe(recording, name, transitions, counts, fractions, seed)

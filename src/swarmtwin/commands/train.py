@@ -1,0 +1,135 @@
+"""`swarmtwin train`: a dynamics model learns from transitions, is tracked, and registered as challenger."""
+
+import json
+import shutil
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import pandas as pd
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+
+from swarmtwin import registry
+from swarmtwin.commands.outputs import output_folder
+from swarmtwin.commands.progress import training_bars
+from swarmtwin.commands.sources import Vehicles, training_transitions
+from swarmtwin.dynamics import figures
+from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
+from swarmtwin.dynamics.recipe import Recipe
+from swarmtwin.dynamics.registry import model_config
+from swarmtwin.dynamics.store import save_dynamics
+from swarmtwin.dynamics.training import Trained, train
+from swarmtwin.files import new_folder, write_text
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.tracking import TrackedRun, tracked_run
+from swarmtwin.transitions import Preparation, Transitions
+
+CHECKPOINTS = "checkpoints"
+
+
+class Options(StrictModel):
+    """Options of `swarmtwin train`; their defaults stand in conf/train.yaml."""
+
+    robot: Robot
+    model: dict[str, Any]
+    recipe: Recipe
+    transitions: Path | None
+    recording: Path | None
+    vehicles: Vehicles
+    seed: int
+    seeds: Annotated[int, Field(ge=1)]
+    register_model: Annotated[bool, Field(alias="register")]
+    output: Path | None
+    overwrite: bool
+
+
+def run(options: Options) -> None:
+    """Train, save the model's folder, track the run and register the model.
+
+    Raises:
+        UserError: no usable transitions, an unknown model, every seed dead, or the output is taken.
+    """
+    config = model_config(options.model, "model")
+    transitions, preparation, source = training_transitions(
+        options.robot, options.transitions, options.recording, options.vehicles
+    )
+    name = f"{options.robot.name}-{config.name}"
+    output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
+    settings = options.model_dump(mode="json", by_alias=True)
+    with tracked_run("dynamics", name, settings, [source], options.seed) as tracked:
+        started = time.monotonic()
+        with new_folder(output, "train", settings, options.overwrite, keep_partial=True) as folder:
+            trained = _train(options, config, transitions, folder / CHECKPOINTS)
+            provenance = _provenance(trained, preparation)
+            _save(folder, trained, provenance)
+        _track(tracked, trained, provenance, time.monotonic() - started)
+        kept = tracked.folder(output, "model")
+        registered = "not registered"
+        if options.register_model:
+            figures_of_merit = _figures(provenance.chosen)
+            version = registry.register(
+                f"{options.robot.name}-dynamics", output, kept, tracked.run_id, figures_of_merit
+            )
+            registered = f"registered as {version}, its challenger"
+    Console().print(_table(name, provenance))
+    Console().print(f"{output}: {registered}", highlight=False)
+
+
+def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:
+    seeds = range(options.seed, options.seed + options.seeds)
+    epochs = options.recipe.for_model(config).epochs or 0
+    with training_bars(f"{options.robot.name} {config.name}", seeds, epochs) as report:
+        return train(transitions, config, options.recipe, seeds, checkpoints, report)
+
+
+def _provenance(trained: Trained, preparation: Preparation) -> Provenance:
+    outcomes = []
+    for result in trained.results:
+        best = result.history[result.best - 1]
+        errors = {"position_mm": best.validation_position_mm, "orientation_deg": best.validation_orientation_deg}
+        outcomes.append(SeedOutcome(seed=result.seed, best_epoch=result.best, dead=result.dead, **errors))
+    return Provenance.of(preparation, trained.recipe.model_dump(mode="json"), trained.seed, tuple(outcomes))
+
+
+def _save(folder: Path, trained: Trained, provenance: Provenance) -> None:
+    save_dynamics(folder, trained.dynamics, provenance.model_dump(mode="json"))
+    validation = {**_figures(provenance.chosen), "seeds": {str(o.seed): _figures(o) for o in provenance.seeds}}
+    parameters = sum(weights.numel() for weights in trained.dynamics.parameters() if weights.requires_grad)
+    write_text(
+        folder / "metrics.json", json.dumps({"validation": validation, "parameters": parameters}, indent=1) + "\n"
+    )
+    history = [
+        {"seed": result.seed, "epoch": number, **epoch._asdict()}
+        for result in trained.results
+        for number, epoch in enumerate(result.history, start=1)
+    ]
+    pd.DataFrame(history).to_csv(folder / "history.csv", index=False, float_format="%.5f")
+    figures.history(trained.results).savefig(folder / "history.png")
+    shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
+
+
+def _track(tracked: TrackedRun, trained: Trained, provenance: Provenance, seconds: float) -> None:
+    tracked.metrics({f"validation_{key}": value for key, value in _figures(provenance.chosen).items()})
+    tracked.metrics({"training_s": seconds, "dead_seeds": len(trained.dead_seeds)})
+    tracked.history((number, epoch._asdict()) for number, epoch in enumerate(trained.best.history, start=1))
+    tracked.tag("recording", provenance.recording)
+    tracked.tag("recording.digest", provenance.digest)
+
+
+def _figures(outcome: SeedOutcome) -> Mapping[str, float]:
+    return {"position_mm": outcome.position_mm, "orientation_deg": outcome.orientation_deg}
+
+
+def _table(name: str, provenance: Provenance) -> Table:
+    table = Table("seed", "position mm", "orientation °", "best epoch", "", title=f"{name}: errors on validation runs")
+    for outcome in provenance.seeds:
+        remark = f"dead: {outcome.dead}" if outcome.dead else "the model" if outcome.seed == provenance.seed else ""
+        errors = (f"{outcome.position_mm:.2f}", f"{outcome.orientation_deg:.2f}")
+        table.add_row(str(outcome.seed), *errors, str(outcome.best_epoch), remark)
+    for column in table.columns[:4]:
+        column.justify = "right"
+    return table

@@ -1,0 +1,118 @@
+"""One-step errors, the floor beneath them, and the distance to an exact mean: pure functions of predictions."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from swarmtwin.dynamics.base import Dynamics
+from swarmtwin.dynamics.neighbours import NeighbourRegression
+from swarmtwin.dynamics.situation import Situation
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import orientation_error_rad, position_error_mm
+from swarmtwin.transitions import Transitions
+
+FOLDS = 5
+NEIGHBOURS = (10, 20, 40, 80, 160)
+
+
+class ErrorFigure(NamedTuple):
+    """Position and orientation errors, mean ± standard deviation over transitions, as in the paper's tables."""
+
+    position_mm: float
+    position_sd_mm: float
+    orientation_deg: float
+    orientation_sd_deg: float
+    transitions: int
+
+    @classmethod
+    def between(cls, predicted: np.ndarray, measured: np.ndarray) -> "ErrorFigure":
+        """Compare displacements (N, 3) with displacements (N, 3).
+
+        Raises:
+            UserError: there are none.
+        """
+        if not len(measured):
+            raise UserError("there are no transitions to evaluate: record more runs, or split them otherwise")
+        position_mm = position_error_mm(predicted, measured)
+        orientation_deg = np.degrees(orientation_error_rad(predicted, measured))
+        return cls(
+            float(position_mm.mean()),
+            float(position_mm.std()),
+            float(orientation_deg.mean()),
+            float(orientation_deg.std()),
+            len(measured),
+        )
+
+
+class FloorEstimate(NamedTuple):
+    """What the best model could err, estimated from data alone by nearest neighbours: somewhat too high as a rule."""
+
+    error: ErrorFigure
+    neighbours: int
+
+
+def predict(dynamics: Dynamics, transitions: Transitions) -> np.ndarray:
+    """Predict the displacements (N, 3) of measured situations, in batches, without gradients."""
+    situation = Situation.from_transitions(transitions, dynamics.parts)
+    with torch.inference_mode():
+        slices = [slice(start, start + 8192) for start in range(0, len(situation), 8192)]
+        batches = [dynamics(situation[rows]).numpy() for rows in slices]
+    return np.concatenate(batches).astype(float) if batches else np.empty((0, 3))
+
+
+def one_step(dynamics: Dynamics, transitions: Transitions) -> ErrorFigure:
+    """Compare predictions with what was measured."""
+    return ErrorFigure.between(predict(dynamics, transitions), transitions.displacement)
+
+
+def floor(exact_mean: np.ndarray, transitions: Transitions) -> ErrorFigure:
+    """Compare the exact mean displacements (N, 3) of a stand-in with what was measured: no model errs less."""
+    return ErrorFigure.between(exact_mean, transitions.displacement)
+
+
+def model_error(dynamics: Dynamics, transitions: Transitions, exact_mean: np.ndarray) -> ErrorFigure:
+    """Compare predictions with the exact mean displacements (N, 3) of a stand-in: the noise is left out."""
+    return ErrorFigure.between(predict(dynamics, transitions), exact_mean)
+
+
+def neighbour_floor(dynamics: Dynamics, transitions: Transitions) -> FloorEstimate:
+    """Estimate the floor of models that are given the same inputs as `dynamics`, from these transitions alone.
+
+    Each transition is predicted from its nearest neighbours in the other folds, whole runs in a fold; the number of
+    neighbours is the one that predicts best.
+    """
+    with torch.inference_mode():
+        inputs = dynamics.encoding(Situation.from_transitions(transitions, dynamics.parts)).numpy().astype(float)
+    fold = transitions.run % FOLDS if len(np.unique(transitions.run)) >= FOLDS else _blocks(len(transitions))
+    figures = {
+        count: ErrorFigure.between(
+            _cross_predicted(inputs, transitions.displacement, fold, count), transitions.displacement
+        )
+        for count in NEIGHBOURS
+    }
+    best = min(figures, key=lambda count: figures[count].position_mm)
+    return FloorEstimate(figures[best], best)
+
+
+def by_vehicle(
+    evaluate: Callable[[Dynamics, Transitions], ErrorFigure], dynamics: Dynamics, transitions: Transitions
+) -> dict[str, ErrorFigure]:
+    """Apply `one_step` or another figure to each vehicle that occurs."""
+    return {
+        transitions.vehicles[index]: evaluate(dynamics, transitions.where(transitions.vehicle == index))
+        for index in np.unique(transitions.vehicle)
+    }
+
+
+def _blocks(count: int) -> np.ndarray:
+    return np.arange(count) * FOLDS // max(count, 1)
+
+
+def _cross_predicted(inputs: np.ndarray, outputs: np.ndarray, fold: np.ndarray, count: int) -> np.ndarray:
+    predicted = np.empty_like(outputs)
+    for held_out in np.unique(fold):
+        asked = fold == held_out
+        predicted[asked] = NeighbourRegression(inputs[~asked], outputs[~asked]).predict(inputs[asked], count)
+    return predicted

@@ -1,0 +1,53 @@
+"""CNN, the paper's convolutional baseline (section 4.3), as its authors published it."""
+
+from itertools import pairwise
+from typing import ClassVar, Literal
+
+from torch import Tensor, nn
+
+from swarmtwin.dynamics.layers import LEAK, PointwiseConvolution
+from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.scaling import ScalingMethod
+from swarmtwin.robot import Robot
+
+CHANNELS = (1, 8, 64, 96, 32)
+
+
+class CNN(nn.Module):
+    """Four convolutions over the input as a sequence → 120-84-3; 59,275 parameters for the MGR (the paper: 89,275).
+
+    The published facts leave the last layers' activations open: LeakyReLU as in the convolutions, Sigmoid at the end.
+    """
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(*(PointwiseConvolution(*pair) for pair in pairwise(CHANNELS)))
+        length = inputs + 2 * (len(CHANNELS) - 1)
+        self.layers = nn.Sequential(
+            nn.Linear(CHANNELS[-1] * length, 120),
+            nn.LeakyReLU(LEAK),
+            nn.Linear(120, 84),
+            nn.LeakyReLU(LEAK),
+            nn.Linear(84, 3),
+            nn.Sigmoid(),
+        )
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Map inputs scaled to 0…1 (N, inputs) to displacements scaled to 0…1 (N, 3)."""
+        channels = self.convolutions(values[None])
+        scaled: Tensor = self.layers(channels.transpose(0, 1).flatten(1))
+        return scaled
+
+
+class Config(ModelConfig):
+    """`conf/model/cnn.yaml`."""
+
+    scaling: ClassVar[ScalingMethod] = "unit_range"
+
+    name: Literal["cnn"] = "cnn"
+    learning_rate: float = 0.01
+    steps: int = 1000
+
+    def build(self, robot: Robot, inputs: int) -> nn.Module:
+        """Build the CNN."""
+        return CNN(inputs)

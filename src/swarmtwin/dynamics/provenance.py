@@ -1,0 +1,89 @@
+"""Where a dynamics model comes from, and which runs it has therefore never seen."""
+
+from pathlib import Path
+from typing import Any, Self
+
+from swarmtwin.dynamics.store import DESCRIPTION, read_description
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import StrictModel
+from swarmtwin.transitions import Preparation
+
+
+class SeedOutcome(StrictModel):
+    """What came of one seed: its errors on the validation runs at its best epoch, and why it is dead, if it is."""
+
+    seed: int
+    best_epoch: int
+    position_mm: float
+    orientation_deg: float
+    dead: str | None
+
+
+class Provenance(StrictModel):
+    """What `model.yaml` says of a model's origin.
+
+    Attributes:
+        recording: name of the recording's folder.
+        digest: identifies the content of the recording's runs.
+        source: where the recording comes from, in its own words.
+        vehicles: the vehicles learned from.
+        runs: names of the runs in each split.
+        recipe: how it was trained, all values known.
+        seed: the seed chosen, best on the validation runs.
+        seeds: what came of each.
+    """
+
+    recording: str
+    digest: str
+    source: str
+    vehicles: tuple[str, ...]
+    runs: dict[str, tuple[str, ...]]
+    recipe: dict[str, Any]
+    seed: int
+    seeds: tuple[SeedOutcome, ...]
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read where the model in `folder` comes from.
+
+        Raises:
+            UserError: there is no model, or its description is damaged.
+        """
+        return cls.parse(read_description(folder).provenance, f"{folder / DESCRIPTION}: provenance")
+
+    @classmethod
+    def of(cls, preparation: Preparation, recipe: dict[str, Any], seed: int, seeds: tuple[SeedOutcome, ...]) -> Self:
+        """Describe a model trained on prepared transitions."""
+        return cls(
+            recording=preparation.recording,
+            digest=preparation.digest,
+            source=preparation.source,
+            vehicles=preparation.vehicles,
+            runs=preparation.runs,
+            recipe=recipe,
+            seed=seed,
+            seeds=seeds,
+        )
+
+    @property
+    def chosen(self) -> SeedOutcome:
+        """The outcome of the seed that became the model."""
+        return next(outcome for outcome in self.seeds if outcome.seed == self.seed)
+
+    def unseen_part(self, recording: Recording) -> Recording:
+        """Return what the model has not seen of a recording: of its own recording the test runs, else all of it.
+
+        Raises:
+            UserError: nothing is left.
+        """
+        if recording.digest != self.digest:
+            return recording
+        unseen = set(self.runs["test"])
+        part = recording.where(lambda track: track.vehicle not in self.vehicles or track.run in unseen)
+        if not part.tracks:
+            raise UserError(
+                f"the model was trained on every run of recording {self.recording!r}: "
+                "evaluate on another recording, or train with a test fraction above 0"
+            )
+        return part

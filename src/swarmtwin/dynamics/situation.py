@@ -1,0 +1,74 @@
+"""What dynamics models are given: a batch of situations, each part a tensor, the parts nobody asks for left out."""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.robot import SituationPart
+from swarmtwin.transitions import Transitions
+
+ALL_PARTS: tuple[SituationPart, ...] = ("command", "previous_command", "pose", "elapsed_s", "duration_s")
+
+
+@dataclass(frozen=True)
+class Situation:
+    """N situations at the start of a control period.
+
+    Attributes:
+        command: (N, m) held over the period, in the robot's units.
+        previous_command: (N, m) held over the period before; a row of NaN where there was none.
+        pose: (N, 3) x_mm, y_mm, heading_rad in the arena's frame.
+        elapsed_s: (N,) time since the session began.
+        duration_s: (N,) length of the period.
+    """
+
+    command: Tensor
+    previous_command: Tensor | None = None
+    pose: Tensor | None = None
+    elapsed_s: Tensor | None = None
+    duration_s: Tensor | None = None
+
+    @classmethod
+    def from_transitions(
+        cls,
+        transitions: Transitions,
+        parts: Collection[SituationPart] = ALL_PARTS,
+        dtype: torch.dtype = torch.float32,
+    ) -> Self:
+        """Take `parts` of measured situations, in the order of the transitions."""
+        measured: dict[SituationPart, np.ndarray] = {
+            "command": transitions.command,
+            "previous_command": transitions.previous_command,
+            "pose": transitions.pose,
+            "elapsed_s": transitions.time_s,
+            "duration_s": transitions.duration_s,
+        }
+        return cls(**{part: torch.as_tensor(measured[part], dtype=dtype) for part in parts})
+
+    def __len__(self) -> int:
+        return len(self.command)
+
+    def __getitem__(self, rows: Tensor | slice) -> "Situation":
+        return self._each(lambda part: part[rows])
+
+    def only(self, parts: Collection[SituationPart]) -> "Situation":
+        """Leave out everything but `parts`.
+
+        Raises:
+            ValueError: a part asked for is not there.
+        """
+        if absent := [part for part in parts if getattr(self, part) is None]:
+            raise ValueError(f"the situation has no {absent[0]}: give it one")
+        return Situation(**{part: getattr(self, part) for part in parts})
+
+    def to(self, dtype_or_device: torch.dtype | torch.device) -> "Situation":
+        """Convert every part to a dtype, or move it to a device."""
+        return self._each(lambda part: part.to(dtype_or_device))
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> "Situation":
+        present = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Situation(**{name: change(part) for name, part in present.items() if part is not None})

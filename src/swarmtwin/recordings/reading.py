@@ -1,0 +1,144 @@
+"""Reading a recording: its header, its runs, and everything a camera and a network get wrong in them."""
+
+import datetime
+import hashlib
+import itertools
+import logging
+import math
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.faults import fault
+from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.recordings.tables import parse_run
+from swarmtwin.recordings.tracks import tracks_of
+from swarmtwin.robot import Robot
+
+HEADER_FILE = "recording.yaml"
+RUNS_FOLDER = "runs"
+RUN_SUFFIXES = (".csv", ".parquet")
+
+logger = logging.getLogger(__name__)
+
+
+def read_recording(folder: Path, robot: Robot) -> Recording:
+    """Read the recording of `robot` in `folder` (DESIGN section 3). Nothing in it is modified.
+
+    Faults of single rows are counted in `Recording.dropped_rows` and logged in one line.
+
+    Raises:
+        UserError: for a fault of a file, naming the file, the row, the column and the remedy.
+    """
+    folder = Path(folder)
+    header = read_header(folder)
+    _check_header(folder / HEADER_FILE, header, robot)
+    tracks: list[Track] = []
+    dropped: Counter[str] = Counter()
+    unread: dict[str, None] = {}
+    digest = hashlib.sha256()
+    for file in _run_files(folder):
+        content = _read_bytes(file)
+        digest.update(file.stem.encode() + b"\0" + hashlib.sha256(content).digest())
+        table = parse_run(file, content, robot)
+        unread |= dict.fromkeys(table.unread)
+        run_tracks, run_dropped = tracks_of(table, file.stem, header.vehicles)
+        tracks += run_tracks
+        dropped += run_dropped
+    if not tracks:
+        raise fault(folder / RUNS_FOLDER, "no run holds a complete row", "record the runs again")
+    _log_oddities(folder, tracks, dropped, tuple(unread))
+    return Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest())
+
+
+def read_header(folder: Path) -> Header:
+    """Read `recording.yaml` in `folder`.
+
+    Raises:
+        UserError: the folder or the file is missing or unreadable, or the content is no header.
+    """
+    file = folder / HEADER_FILE
+    if not folder.is_dir():
+        raise UserError(f"no recording folder {folder}: name a folder that holds {HEADER_FILE} and {RUNS_FOLDER}/")
+    if not file.exists():
+        raise UserError(f"{file} is missing: a recording holds {HEADER_FILE} and {RUNS_FOLDER}/")
+    try:
+        content = yaml.safe_load(_read_bytes(file))
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        row = mark.line + 1 if mark else None
+        what = f"not valid YAML ({getattr(error, 'problem', None) or 'not text'})"
+        raise fault(file, what, "correct the file", row) from None
+    if not isinstance(content, dict):
+        raise fault(file, "there are no fields", "write robot, period_s, arena_mm and source, one a line")
+    return Header.parse({name: _plain(value) for name, value in content.items()}, str(file))
+
+
+def _plain(value: Any) -> Any:
+    """YAML takes an unquoted date for more than text; a header wants the text."""
+    return str(value) if isinstance(value, datetime.date) else value
+
+
+def _check_header(file: Path, header: Header, robot: Robot) -> None:
+    if header.robot != robot.name:
+        what = f"the recording is of robot {header.robot!r}, not of {robot.name!r}"
+        raise fault(file, what, f"add robot={header.robot}, or choose another recording")
+    if not math.isclose(header.period_s, robot.period_s, rel_tol=1e-6):
+        what = f"the period is {header.period_s:g} s, that of robot {robot.name!r} is {robot.period_s:g} s"
+        raise fault(file, what, "correct it, or describe the robot with its own file in conf/robot/", column="period_s")
+
+
+def _run_files(folder: Path) -> list[Path]:
+    """List the files of the runs in order of name; a file of another kind is told and left alone."""
+    runs = folder / RUNS_FOLDER
+    if not runs.is_dir():
+        raise UserError(f"{runs} is missing: put one file a run there, {' or '.join(RUN_SUFFIXES)}")
+    entries = sorted(entry for entry in runs.iterdir() if not entry.name.startswith("."))
+    files = [entry for entry in entries if _is_run(entry)]
+    others = [entry.name for entry in entries if not _is_run(entry)]
+    if not files:
+        there = f", only {', '.join(others[:5])}" if others else ""
+        raise UserError(f"{runs} holds no run{there}: put one file a run there, {' or '.join(RUN_SUFFIXES)}")
+    if others:
+        logger.warning("%s: %s left unread, no %s", runs, ", ".join(others[:5]), " or ".join(RUN_SUFFIXES))
+    if repeated := [stem for stem, count in Counter(file.stem for file in files).items() if count > 1]:
+        raise fault(runs, f"run {repeated[0]!r} stands there twice, as CSV and as Parquet", "remove one of them")
+    return sorted(files, key=lambda file: file.stem)
+
+
+def _is_run(entry: Path) -> bool:
+    return entry.suffix in RUN_SUFFIXES and not entry.is_dir()
+
+
+def _read_bytes(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise fault(file, f"it cannot be read ({error.strerror})", "check that it is there and may be read") from None
+
+
+def _log_oddities(folder: Path, tracks: Sequence[Track], dropped: Counter[str], unread: Sequence[str]) -> None:
+    if unread:
+        logger.warning("%s: columns that nothing reads: %s", folder, ", ".join(unread))
+    if dropped:
+        counts = ", ".join(f"{reason} {count}" for reason, count in sorted(dropped.items()))
+        logger.warning("%s: rows set aside while reading: %s", folder, counts)
+    if overlap := _overlapping_runs(tracks):
+        logger.warning(
+            "%s: vehicle %r drives in runs %r and %r at the same time: count times from the start of the session",
+            folder,
+            *overlap,
+        )
+
+
+def _overlapping_runs(tracks: Sequence[Track]) -> tuple[str, str, str] | None:
+    """Return the first vehicle and two runs in which it would have to be at the same time."""
+    ordered = sorted(tracks, key=lambda track: (track.vehicle, track.time_s[0]))
+    for earlier, later in itertools.pairwise(ordered):
+        if earlier.vehicle == later.vehicle and later.time_s[0] < earlier.time_s[-1]:
+            return earlier.vehicle, earlier.run, later.run
+    return None

@@ -1,0 +1,192 @@
+"""One run's file, CSV or Parquet, parsed into columns of numbers; what cannot be parsed is told by row and column."""
+
+import csv
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.columns import check_columns, run_columns
+from swarmtwin.recordings.faults import fault
+from swarmtwin.robot import POSE_COLUMNS, Robot
+
+LARGEST_BLOCK_BYTES = 1 << 24
+EMPTY_CELLS = ["", "nan", "NaN", "NAN"]
+
+_BAD_CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): .*invalid value '(.*)'", re.DOTALL)
+_BAD_LENGTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
+
+
+@dataclass(frozen=True)
+class RunTable:
+    """The R rows of one run's file, in the file's order; a cell that is empty is NaN.
+
+    Attributes:
+        file: where they stand.
+        time_s: (R,).
+        vehicle: (R,) index into `vehicles`.
+        command: (R, m) in the robot's units.
+        pose: (R, 3) x_mm, y_mm, heading_rad in the arena's frame.
+        vehicles: the ids, as text.
+        truncated: the file broke off within its last row, which is left out.
+        unread: columns that nothing reads.
+        row_number: gives the row, as an editor shows it, of an index into the arrays.
+    """
+
+    file: Path
+    time_s: np.ndarray
+    vehicle: np.ndarray
+    command: np.ndarray
+    pose: np.ndarray
+    vehicles: tuple[str, ...]
+    truncated: bool
+    unread: tuple[str, ...]
+    row_number: Callable[[int], int]
+
+
+def parse_run(file: Path, content: bytes, robot: Robot) -> RunTable:
+    """Parse the `content` of `file`, a run of `robot`.
+
+    Raises:
+        UserError: the content is damaged, or its columns are not the robot's.
+    """
+    if not content:
+        raise fault(file, "the file is empty", "record the run again, or remove the file")
+    return _parse_parquet(file, content, robot) if file.suffix == ".parquet" else _parse_csv(file, content, robot)
+
+
+def _parse_csv(file: Path, content: bytes, robot: Robot) -> RunTable:
+    _check_text(file, content)
+    complete = content[: max(content.rfind(b"\n"), content.rfind(b"\r")) + 1]
+    found = _csv_header(file, content, complete)
+    unread = check_columns(found, robot, file)
+    table = _read_csv(file, complete, found, robot)
+    if not len(table) and len(complete) == len(content):
+        raise fault(file, "there is a header and no rows", "record the run again, or remove the file")
+
+    def row_number(index: int) -> int:
+        return _line_number(complete, index + 1)
+
+    return _run_table(file, table, robot, len(complete) < len(content), unread, row_number)
+
+
+def _check_text(file: Path, content: bytes) -> None:
+    """Refuse what only damage puts into a CSV file: NUL, bytes that are no text, open quotes."""
+    remedy = "the file is damaged or no CSV file; copy it again from where it was recorded"
+    if (position := content.find(b"\0")) >= 0:
+        raise fault(file, "a NUL byte", remedy, row=_line_at(content, position))
+    try:
+        content.decode()
+    except UnicodeDecodeError as error:
+        raise fault(file, "bytes that are not UTF-8 text", remedy, row=_line_at(content, error.start)) from None
+    if b'"' in content:
+        for number, line in enumerate(content.splitlines(), start=1):
+            if line.count(b'"') % 2:
+                raise fault(file, "a quotation mark without its partner", "remove it", row=number)
+
+
+def _csv_header(file: Path, content: bytes, complete: bytes) -> list[str]:
+    header = next((line for line in complete.splitlines() if line), None)
+    if header is None:
+        what = "the file breaks off in its header" if content.strip() else "the file is empty"
+        raise fault(file, what, "record the run again, or remove the file")
+    return next(csv.reader([header.decode("utf-8-sig")]))
+
+
+def _read_csv(file: Path, complete: bytes, found: list[str], robot: Robot) -> pa.Table:
+    columns = run_columns(robot)
+    types = {name: pa.string() if name == "vehicle" else pa.float64() for name in columns}
+    convert = pa.csv.ConvertOptions(column_types=types, include_columns=columns, null_values=EMPTY_CELLS)
+    # One thread, so that pyarrow knows the rows' numbers; streamed, which spares small files a change of thread.
+    options = pa.csv.ReadOptions(use_threads=False, block_size=min(len(complete) + 1, LARGEST_BLOCK_BYTES))
+    try:
+        return pa.csv.open_csv(pa.py_buffer(complete), read_options=options, convert_options=convert).read_all()
+    except pa.ArrowInvalid as error:
+        raise _csv_fault(file, complete, found, str(error)) from None
+
+
+def _csv_fault(file: Path, complete: bytes, found: list[str], message: str) -> UserError:
+    if cell := _BAD_CELL.search(message):
+        column, row, value = found[int(cell[1])], _line_number(complete, int(cell[2]) - 1), cell[3]
+        return fault(file, f"{value!r} is not a number", "write a number, or leave the cell empty", row, column)
+    if length := _BAD_LENGTH.search(message):
+        what = f"{length[3]} fields instead of {length[2]}"
+        row = _line_number(complete, int(length[1]) - 1)
+        return fault(file, what, "give every row the header's columns, separated by commas", row)
+    return fault(file, message.splitlines()[0], "the file is damaged; copy it again from where it was recorded")
+
+
+def _line_at(content: bytes, position: int) -> int:
+    return len(content[:position].splitlines()) + (content[:position].endswith((b"\n", b"\r")) or position == 0)
+
+
+def _line_number(content: bytes, index: int) -> int:
+    """Return the number, from 1, of the line that is the `index`-th not empty, from 0; empty lines are no rows."""
+    filled = (number for number, line in enumerate(content.splitlines(), start=1) if line)
+    return next(number for position, number in enumerate(filled) if position == index)
+
+
+def _parse_parquet(file: Path, content: bytes, robot: Robot) -> RunTable:
+    damaged = "the file is damaged or cut off; copy it again from where it was recorded"
+    try:
+        parquet = pa.parquet.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+        unread = check_columns(parquet.schema_arrow.names, robot, file)
+        stored = parquet.read(columns=list(run_columns(robot)), use_threads=False)
+        stored.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise fault(file, f"no Parquet file can be read ({str(error).splitlines()[0]})", damaged) from None
+    if not len(stored):
+        raise fault(file, "there are no rows", "record the run again, or remove the file")
+    cast = {name: _cast(file, name, stored.column(name)) for name in run_columns(robot)}
+    return _run_table(file, pa.table(cast), robot, False, unread, lambda index: index + 1)
+
+
+def _cast(file: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
+    kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
+    text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
+    fits = text or pa.types.is_integer(kind) if name == "vehicle" else pa.types.is_floating(kind)
+    if not fits and not (name != "vehicle" and (pa.types.is_integer(kind) or pa.types.is_null(kind))):
+        wanted = "text" if name == "vehicle" else "numbers"
+        raise fault(file, f"values of type {kind} instead of {wanted}", f"store {wanted}", column=name)
+    return column.cast(pa.string() if name == "vehicle" else pa.float64(), safe=False)
+
+
+def _run_table(
+    file: Path,
+    table: pa.Table,
+    robot: Robot,
+    truncated: bool,
+    unread: tuple[str, ...],
+    row_number: Callable[[int], int],
+) -> RunTable:
+    encoded = table.column("vehicle").combine_chunks().dictionary_encode()
+    vehicles = tuple(encoded.dictionary.to_pylist())
+    codes = pc.fill_null(encoded.indices, -1).to_numpy(zero_copy_only=False)
+    nameless = (codes < 0) | np.isin(codes, [index for index, vehicle in enumerate(vehicles) if not vehicle.strip()])
+    if nameless.any():
+        row = row_number(int(np.argmax(nameless)))
+        raise fault(file, "no vehicle is named", "write the vehicle's id", row, "vehicle")
+    return RunTable(
+        file=file,
+        time_s=_numbers(table, ("time_s",))[:, 0],
+        vehicle=codes,
+        command=_numbers(table, robot.command_columns),
+        pose=_numbers(table, POSE_COLUMNS),
+        vehicles=vehicles,
+        truncated=truncated,
+        unread=unread,
+        row_number=row_number,
+    )
+
+
+def _numbers(table: pa.Table, names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Stack columns of `table` as (R, len(names)); an empty cell becomes NaN."""
+    return np.column_stack([table.column(name).to_numpy() for name in names]).astype(np.float64, copy=False)

@@ -1,0 +1,1 @@
+"""Stand-ins: physics models of robots that play the real ones where none is at hand."""

@@ -1,0 +1,139 @@
+"""What an effect is: a typed piece of configuration that changes the stand-in's physics at one physical place.
+
+An effect overrides the hook of its place and leaves the others alone; `conditions.py` combines the hooks of all effects
+that are switched on. An effect outside the catalogue is any other subclass, handed to a `Session` as an object.
+
+Arrays are laid out with their components first: a command is (m, ...), a scalar quantity (...), where ... is always
+two axes: (runs, vehicles) while driving, (rows, draws) while averaging.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from swarmtwin.errors import UserError
+from swarmtwin.robot import Arena, Robot, StrictModel
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Moment:
+    """Where and when the vehicles are; every array broadcasts to (...).
+
+    Attributes:
+        progress: share of the session that has passed, 0 at its beginning, 1 at its end.
+        x_mm: true positions in the arena's frame.
+        y_mm: true positions in the arena's frame.
+        heading_rad: true headings.
+        neighbour_x_mm: (others, ...) true positions of the other vehicles of the run; others = 0 where it is alone.
+        neighbour_y_mm: (others, ...) likewise.
+    """
+
+    progress: np.ndarray
+    x_mm: np.ndarray
+    y_mm: np.ndarray
+    heading_rad: np.ndarray
+    neighbour_x_mm: np.ndarray
+    neighbour_y_mm: np.ndarray
+
+
+class Effect(StrictModel):
+    """Something a stand-in can be told to do that the simulation does not know (DESIGN section 8).
+
+    Attributes:
+        ages: true if what it does changes as the session goes on.
+    """
+
+    ages: ClassVar[bool] = False
+
+    def on(self, robot: Robot, vehicle_count: int) -> Self:
+        """Return the effect with the defaults that depend on the robot filled in.
+
+        Raises:
+            UserError: it makes no sense for this robot, or for this number of vehicles in a run.
+        """
+        return self
+
+    def lateness_s(self) -> float:
+        """Link: how late each command arrives."""
+        return 0.0
+
+    def loss_probability(self) -> float:
+        """Link: how probably a command never arrives, so that the previous one goes on."""
+        return 0.0
+
+    def received(self, command: np.ndarray, robot: Robot) -> np.ndarray:
+        """Actuator: what the electronics make of a command (m, ...)."""
+        return command
+
+    def strength(self, moment: Moment) -> Any:
+        """Actuator: factor on the speed of wheel or fin, broadcasting to (actuators, ...)."""
+        return 1.0
+
+    def lag_s(self) -> float:
+        """Actuator: what is added to its time constant."""
+        return 0.0
+
+    def play(self) -> float:
+        """Actuator: travel lost at each reversal, mm of a wheel's rim or rad of the fin."""
+        return 0.0
+
+    def trim_rad(self) -> float:
+        """Actuator: angle of the fin when it is told to be straight."""
+        return 0.0
+
+    def grip(self, moment: Moment, arena: Arena) -> Any:
+        """Ground or water: factor on how far the actuators bring the vehicle, broadcasting to (...)."""
+        return 1.0
+
+    def carried_mm_s(self, moment: Moment) -> tuple[Any, Any]:
+        """Ground, water, neighbours: velocity along x and y of the arena that is added to the vehicle's own."""
+        return 0.0, 0.0
+
+    def noise_factor(self) -> float:
+        """Ground or water: factor on the random part of the motion."""
+        return 1.0
+
+    def marker(self) -> tuple[float, float, float]:
+        """Camera: where the marker sits on the vehicle: forward_mm, left_mm, turn_rad."""
+        return 0.0, 0.0, 0.0
+
+    def magnification(self, radius: np.ndarray) -> Any:
+        """Camera: factor on a point's distance from the image's centre; `radius` is 1 at the arena's corners."""
+        return 1.0
+
+    def durations(self, nominal: np.ndarray, rng: Rng) -> np.ndarray:
+        """Clock: true lengths of the periods."""
+        return nominal
+
+
+def thrust_limit(robot: Robot) -> float:
+    """Return the largest command of the actuator that thrusts: PWM of a wheel, amplitude in degrees of the fin."""
+    column = robot.command["amplitude_deg"] if robot.kinematics == "tail_fin" else next(iter(robot.command.values()))
+    return column.high
+
+
+def change_thrust(command: np.ndarray, robot: Robot, change: Any) -> np.ndarray:
+    """Apply `change` to the thrusting part of commands (m, ...): both wheels, or the fin's amplitude alone."""
+    if robot.kinematics != "tail_fin":
+        return change(command)
+    changed = command.copy()
+    row = robot.command_columns.index("amplitude_deg")
+    changed[row] = change(command[row])
+    return changed
+
+
+def only_for(effect: str, robot: Robot, wheels: tuple[str, float | None], fin: tuple[str, float | None]) -> None:
+    """Refuse the parameter (name, value) of the other kind of actuator than the robot's.
+
+    Raises:
+        UserError: the parameter that `robot` has no use for was given.
+    """
+    wanted, unwanted = (fin, wheels) if robot.kinematics == "tail_fin" else (wheels, fin)
+    if unwanted[1] is not None:
+        actuator = "a tail fin" if robot.kinematics == "tail_fin" else "wheels"
+        raise UserError(
+            f"effect {effect!r}: {unwanted[0]} means nothing to {robot.name!r}, which has {actuator}: give {wanted[0]}"
+        )

@@ -1,0 +1,137 @@
+"""What a stand-in's physics provides, and how it is advanced over one control period."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from swarmtwin.standin.conditions import Conditions
+from swarmtwin.standin.effect import Moment
+
+POSE = slice(0, 3)
+
+
+class Surroundings(NamedTuple):
+    """What ground, water and neighbours do to the vehicles in one time step; each broadcasts to (...)."""
+
+    grip: Any
+    carried_x_mm_s: Any
+    carried_y_mm_s: Any
+
+
+NOTHING_SPECIAL = Surroundings(1.0, 0.0, 0.0)
+
+
+class Physics(ABC):
+    """A robot's motion. A state is (states, ...), its first three the true pose: x_mm, y_mm, heading_rad (not wrapped).
+
+    Attributes:
+        states: names of the states.
+        substeps: time steps in a control period.
+        noises: independent random numbers that a time step needs.
+        position_noise_mm: standard deviation of the camera's positions, along each axis.
+        heading_noise_rad: standard deviation of the camera's headings.
+        resting_command: the command of a vehicle that was just switched on.
+        memory_of_place: whether the hidden states depend on the pose.
+        latent_draws: hidden states to average over for an expectation, a power of two.
+    """
+
+    states: ClassVar[tuple[str, ...]]
+    substeps: ClassVar[int]
+    noises: ClassVar[int]
+    position_noise_mm: ClassVar[float]
+    heading_noise_rad: ClassVar[float]
+    resting_command: ClassVar[tuple[float, ...]]
+    memory_of_place: ClassVar[bool]
+    latent_draws: ClassVar[int]
+
+    def __init__(self, conditions: Conditions) -> None:
+        self.conditions = conditions
+
+    def at_rest(self, pose: np.ndarray) -> np.ndarray:
+        """Return the states (states, ...) of vehicles standing at poses (3, ...)."""
+        state = np.zeros((len(self.states), *pose.shape[1:]), pose.dtype)
+        state[POSE] = pose
+        return state
+
+    @abstractmethod
+    def target(self, command: np.ndarray, strength: Any) -> np.ndarray:
+        """Return what a command (m, ...), as received, asks of the actuators; linear blends of it make sense."""
+
+    @abstractmethod
+    def step(
+        self, state: np.ndarray, target: np.ndarray, dt_s: Any, surroundings: Surroundings, noise: np.ndarray | None
+    ) -> np.ndarray:
+        """Return the states after one time step; `noise` is (noises, ...) standard normal, or None for the mean."""
+
+    @abstractmethod
+    def guess(self, command: np.ndarray) -> np.ndarray:
+        """Return the displacement (..., 3) that the operator expects of commands (..., m), from experience."""
+
+
+@dataclass(frozen=True)
+class Period:
+    """One control period of vehicles (...), or of many imagined ones.
+
+    Attributes:
+        command: (m, ...) that holds in it.
+        previous_command: (m, ...) that held before; it goes on while the new one is late.
+        duration_s: true length, broadcasting to (...).
+        progress: share of the session that has passed, broadcasting to (...).
+        others: (2, 2, others, ...) x and y of the neighbours at its start and at its end, or None to derive them from
+            the vehicles themselves, which then are (runs, vehicles).
+    """
+
+    command: np.ndarray
+    previous_command: np.ndarray
+    duration_s: Any
+    progress: Any
+    others: np.ndarray | None = None
+
+    def moment(self, state: np.ndarray, elapsed: float) -> Moment:
+        """Return where and when the vehicles are when a share `elapsed` of the period has passed."""
+        if self.others is None:
+            x_mm, y_mm = others_in_run(state[0]), others_in_run(state[1])
+        else:
+            x_mm, y_mm = self.others[0] + elapsed * (self.others[1] - self.others[0])
+        return Moment(self.progress, state[0], state[1], state[2], x_mm, y_mm)
+
+
+def others_in_run(values: np.ndarray) -> np.ndarray:
+    """Return for each of V vehicles (..., V) the values of the other ones, (V − 1, ..., V)."""
+    others = [np.roll(values, -shift, axis=-1) for shift in range(1, values.shape[-1])]
+    return np.stack(others) if others else np.empty((0, *values.shape), values.dtype)
+
+
+def advance(physics: Physics, state: np.ndarray, period: Period, noise: np.ndarray | None = None) -> np.ndarray:
+    """Return the states (states, ...) at the end of a period.
+
+    Args:
+        physics: the robot.
+        state: (states, ...) at its start.
+        period: the commands and the clock.
+        noise: (substeps, noises, ...) standard normal, or None for the motion without noise.
+    """
+    conditions = physics.conditions
+    dt_s = period.duration_s / physics.substeps
+    strength = conditions.strength(period.moment(state, 0.0))
+    target = new_target = physics.target(conditions.received(period.command), strength)
+    if conditions.delay_s:
+        old_target = physics.target(conditions.received(period.previous_command), strength)
+    surroundings = NOTHING_SPECIAL
+    for index in range(physics.substeps):
+        if conditions.delay_s:
+            late_share = np.clip(conditions.delay_s / dt_s - index, 0.0, 1.0)
+            target = new_target + late_share * (old_target - new_target)
+        if conditions.are_local:
+            moment = period.moment(state, index / physics.substeps)
+            surroundings = Surroundings(conditions.grip(moment), *conditions.carried_mm_s(moment))
+        state = physics.step(state, target, dt_s, surroundings, None if noise is None else noise[index])
+    return state
+
+
+def take_up(slack: np.ndarray, travel: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the slack left in a gear of backlash `width`, and the part of `travel` that comes through."""
+    taken = np.clip(slack + travel, 0.0, width)
+    return taken, travel - (taken - slack)

@@ -1,0 +1,172 @@
+"""A session: runs of one or more stand-in vehicles, driven and filmed, with what only the stand-in knows of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarmtwin.errors import UserError, near_miss
+from swarmtwin.geometry import wrap_angle
+from swarmtwin.robot import Robot
+from swarmtwin.standin.conditions import Conditions
+from swarmtwin.standin.effect import Effect
+from swarmtwin.standin.mgr import Mgr, MgrUnit
+from swarmtwin.standin.mur import Mur, MurUnit
+from swarmtwin.standin.operator import Manner, Plan, steer
+from swarmtwin.standin.physics import Period, Physics, advance
+from swarmtwin.standin.streams import Streams
+
+STAND_INS = ("mgr", "mur")
+PAUSE_S = 5.0
+NOISE_TYPE = np.float32
+
+
+@dataclass(frozen=True)
+class Session:
+    """What is to be recorded.
+
+    Attributes:
+        robot: the robot; one that has a stand-in.
+        vehicles: ids of the V vehicles that drive in every run, together.
+        runs: number of runs R. Fewer runs of the same session are its first ones.
+        steps: transitions T in a run.
+        seed: all randomness comes from it, except the vehicles' fabrication, which comes from their ids.
+        effects: what the stand-in is told to do.
+        manner: how the operator chooses commands.
+        drive: (N, m) commands to play instead, or None.
+        lost_poses: probability that the camera misses a marker.
+        planned_runs: runs after which the session ends by plan (ageing counts on it); None means `runs`.
+        repeats: how many times over the whole session is filmed side by side, each with its own chances.
+    """
+
+    robot: Robot
+    vehicles: tuple[str, ...]
+    runs: int
+    steps: int
+    seed: int
+    effects: Sequence[Effect] = ()
+    manner: Manner = "uniform"
+    drive: np.ndarray | None = None
+    lost_poses: float = 0.0
+    planned_runs: int | None = None
+    repeats: int = 1
+    conditions: Conditions = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "conditions", Conditions(self.robot, self.effects))
+
+    def physics(self, vehicles: Sequence[str], dtype: type = np.float64) -> Physics:
+        """Return the physics of some vehicles under this session's conditions."""
+        if self.robot.name == "mgr":
+            return Mgr(MgrUnit.of(vehicles, dtype), self.conditions)
+        return Mur(MurUnit.of(vehicles, dtype), self.conditions)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """R, T and V of its footage, all repeats counted."""
+        return self.runs * self.repeats, self.steps, len(self.vehicles)
+
+    @property
+    def run_length_s(self) -> float:
+        """From the beginning of a run to the beginning of the next, nominally."""
+        return self.steps * self.robot.period_s + PAUSE_S
+
+    @property
+    def length_s(self) -> float:
+        """Planned length of the whole session."""
+        return (self.planned_runs or self.runs) * self.run_length_s
+
+    def progress(self, time_s: np.ndarray) -> np.ndarray:
+        """Return the share of the session that has passed, in [0, 1]."""
+        return np.clip(time_s / self.length_s, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Footage:
+    """What a session yields. R runs, T periods, V vehicles.
+
+    Attributes:
+        session: what was recorded.
+        time_s: (R, T + 1) since the session began.
+        command: (R, T, V, m) as sent.
+        pose: (R, T + 1, V, 3) as the camera measured it, heading in (−π, π]; NaN where it saw no marker.
+        active_command: (m, R, T + 1, V) that really held before each row: what a lost or late command leaves in force.
+        state: (states, R, T + 1, V) true physical states.
+    """
+
+    session: Session
+    time_s: np.ndarray
+    command: np.ndarray
+    pose: np.ndarray
+    active_command: np.ndarray
+    state: np.ndarray
+
+
+def require_stand_in(robot: Robot) -> None:
+    """Refuse a robot without a stand-in.
+
+    Raises:
+        UserError: there is none, naming those that have one.
+    """
+    if robot.name not in STAND_INS:
+        raise UserError(f"robot {robot.name!r} has no stand-in: {near_miss(robot.name, STAND_INS)}")
+
+
+def film(session: Session, purpose: str = "session") -> Footage:
+    """Drive all runs of a session side by side; `purpose` tells apart sessions that share a seed."""
+    streams = Streams(session.seed, purpose)
+    physics = session.physics(session.vehicles)
+    shape = session.shape
+    plan = Plan.draw(session.robot, shape, session.manner, _played(session), streams)
+    time_s, duration_s = _clock(session, streams)
+    noise_shape = (*shape[:2], physics.substeps, physics.noises, shape[2])
+    noise = streams.of("motion").standard_normal(noise_shape, NOISE_TYPE)
+    lost = streams.of("link").random(shape) < session.conditions.loss_probability
+
+    state = physics.at_rest(np.moveaxis(plan.start, -1, 0))
+    active = np.empty((len(session.robot.command), *state.shape[1:]))
+    active[:] = np.reshape(physics.resting_command, (-1, 1, 1))
+    states, actives, sent = [state], [active], []
+    for step in range(session.steps):
+        command = steer(session.robot, physics, np.moveaxis(state[:3], 0, -1), plan, step)
+        arriving = np.where(lost[:, step], active, np.moveaxis(command, -1, 0))
+        progress = session.progress(time_s[:, step, None])
+        period = Period(arriving, active, duration_s[:, step, None], progress)
+        state = advance(physics, state, period, noise[:, step].transpose(1, 2, 0, 3))
+        active = arriving
+        states.append(state)
+        actives.append(active)
+        sent.append(command)
+    true = np.stack(states, axis=2)
+    pose = photograph(session, physics, np.moveaxis(true[:3], 0, -1), streams)
+    return Footage(session, time_s, np.stack(sent, axis=1), pose, np.stack(actives, axis=2), true)
+
+
+def photograph(session: Session, physics: Physics, pose: np.ndarray, streams: Streams) -> np.ndarray:
+    """Return true poses (R, T + 1, V, 3) as the camera measures them: scaled, noisy, some not at all."""
+    noise = streams.of("camera").standard_normal(pose.shape)
+    size = np.array([physics.position_noise_mm, physics.position_noise_mm, physics.heading_noise_rad])
+    measured = session.conditions.seen(pose) + size * noise
+    measured[..., 2] = wrap_angle(measured[..., 2])
+    missed = streams.of("lost poses").random(pose.shape[:-1]) < session.lost_poses
+    measured[missed] = np.nan
+    return measured
+
+
+def _clock(session: Session, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
+    """Return when rows are taken (R, T + 1) and how long periods last (R, T), in s."""
+    run_count, step_count, _ = session.shape
+    nominal = np.full((run_count, step_count), session.robot.period_s)
+    duration_s = session.conditions.durations(nominal, streams.of("clock"))
+    since_start = np.concatenate([np.zeros((run_count, 1)), np.cumsum(duration_s, axis=1)], axis=1)
+    run_start_s = np.arange(run_count) % session.runs * session.run_length_s
+    return run_start_s[:, None] + since_start, duration_s
+
+
+def _played(session: Session) -> np.ndarray | None:
+    """Return the drive cut into runs (R, T, m), from its beginning again at its end; None if the operator drives."""
+    if session.drive is None:
+        return None
+    rows = np.arange(session.runs * session.steps) % len(session.drive)
+    played = session.drive[rows].reshape(session.runs, session.steps, -1)
+    return np.tile(played, (session.repeats, 1, 1))

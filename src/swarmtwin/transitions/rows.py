@@ -1,0 +1,52 @@
+"""All rows of a recording in one set of arrays, so that every check is one array operation."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from swarmtwin.recordings.recording import Recording
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The R rows of all tracks, one track after the other.
+
+    Attributes:
+        track: (R,) index of the track.
+        run: (R,) index into the recording's runs.
+        vehicle: (R,) index into the recording's vehicles.
+        time_s: (R,).
+        command: (R, m), a row of NaN where there was none.
+        pose: (R, 3), a row of NaN where there was none.
+    """
+
+    track: np.ndarray
+    run: np.ndarray
+    vehicle: np.ndarray
+    time_s: np.ndarray
+    command: np.ndarray
+    pose: np.ndarray
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        """Join the tracks of `recording`."""
+        tracks = recording.tracks
+        runs = {run: index for index, run in enumerate(recording.runs)}
+        vehicles = {vehicle: index for index, vehicle in enumerate(recording.vehicles)}
+        lengths = [len(track) for track in tracks]
+        return cls(
+            track=np.repeat(np.arange(len(tracks)), lengths),
+            run=np.repeat([runs[track.run] for track in tracks], lengths),
+            vehicle=np.repeat([vehicles[track.vehicle] for track in tracks], lengths),
+            time_s=np.concatenate([track.time_s for track in tracks]),
+            command=np.concatenate([track.command for track in tracks]),
+            pose=np.concatenate([track.pose for track in tracks]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def starts(self) -> np.ndarray:
+        """Return (P,) the rows that a row of the same track follows."""
+        return np.flatnonzero(self.track[1:] == self.track[:-1])

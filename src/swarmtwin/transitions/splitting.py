@@ -1,0 +1,63 @@
+"""Splits by run, never by row: neighbouring transitions share noise and place, so a split by row would leak."""
+
+import dataclasses
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from swarmtwin.errors import UserError
+from swarmtwin.robot import StrictModel
+from swarmtwin.transitions.transitions import SPLITS, Transitions
+
+
+class Fractions(StrictModel):
+    """The share of the transitions that each split should get; a split with 0 gets no run."""
+
+    train: float = Field(gt=0, le=1)
+    validation: float = Field(ge=0, lt=1)
+    test: float = Field(ge=0, lt=1)
+
+    @model_validator(mode="after")
+    def _sum_to_one(self) -> "Fractions":
+        total = self.train + self.validation + self.test
+        if abs(total - 1) > 1e-6:
+            raise ValueError(f"train, validation and test must sum to 1, not {total:g}")
+        return self
+
+    def of(self, split: str) -> float:
+        """Return the share of `split`."""
+        return float(getattr(self, split))
+
+
+def split_by_run(transitions: Transitions, fractions: Fractions, seed: int) -> Transitions:
+    """Assign whole runs to the splits, at random, so that each split's share of the transitions is near its fraction.
+
+    The smaller splits choose first, each at least one run; a run is taken while it brings the split nearer to its
+    share. The same transitions, fractions and seed give the same splits.
+
+    Raises:
+        UserError: there are fewer runs than splits that want one.
+    """
+    wanted = sorted((split for split in SPLITS if fractions.of(split) > 0), key=fractions.of)
+    sizes = np.bincount(transitions.run, minlength=len(transitions.runs))
+    order = np.random.default_rng(seed).permutation(np.flatnonzero(sizes))
+    if len(order) < len(wanted):
+        runs = "1 run" if len(order) == 1 else f"{len(order)} runs"
+        parts = ", ".join(split for split in SPLITS if split in wanted)
+        raise UserError(
+            f"{runs} with transitions cannot be split into {parts}, at least one run each: record at least "
+            f"{len(wanted)} runs, or set a fraction to 0"
+        )
+    split_of_run = np.full(len(sizes), SPLITS.index(wanted[-1]), dtype=np.int8)
+    for position, split in enumerate(wanted[:-1]):
+        still_wanted = len(wanted) - 1 - position
+        taken = _runs_for(sizes[order], fractions.of(split) * len(transitions), len(order) - still_wanted)
+        split_of_run[order[:taken]] = SPLITS.index(split)
+        order = order[taken:]
+    return dataclasses.replace(transitions, split=split_of_run[transitions.run])
+
+
+def _runs_for(sizes: np.ndarray, share: float, most: int) -> int:
+    """Return how many of the first runs come nearest to `share` transitions: at least 1, at most `most`."""
+    reached = np.cumsum(sizes[:most])
+    return int(np.argmin(np.abs(reached - share))) + 1

@@ -1,0 +1,164 @@
+"""The console script: what every command does with options, mistakes and interruptions."""
+
+import importlib
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import hydra
+import pytest
+from omegaconf import OmegaConf
+
+from swarmtwin.commands import COMMANDS
+from swarmtwin.commands.app import config_folder, run_command
+
+SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
+
+
+@pytest.fixture
+def recording(workplace):
+    """A tiny recording of the MGR."""
+    folder = workplace / "recording"
+    (folder / "runs").mkdir(parents=True)
+    header = "robot: mgr\nperiod_s: 0.5\narena_mm: {x: [0, 1030], y: [0, 1030]}\nsource: a test\n"
+    (folder / "recording.yaml").write_text(header)
+    for run in range(4):
+        rows = [f"{30 * run + tick / 2},1,50,50,{100 + tick},{100 * run},0" for tick in range(10)]
+        content = "\n".join(["time_s,vehicle,left,right,x_mm,y_mm,heading_rad", *rows]) + "\n"
+        (folder / "runs" / f"run_{run}.csv").write_text(content)
+    return folder
+
+
+def call(*arguments):
+    """Run a command in this process; return its exit status."""
+    module = COMMANDS[arguments[0]].module
+    return run_command(arguments[0], module, list(arguments[1:]))
+
+
+def test_a_command_runs_and_its_output_knows_its_configuration(recording, workplace):
+    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 0
+    assert '"command": "prepare"' in (workplace / "out" / "provenance.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["prepare", "recordin=x", "output=out"], 2, "unknown option 'recordin': did you mean 'recording'?"),
+        (
+            ["prepare", "robot.perod_s=1", "output=out"],
+            2,
+            "unknown option 'robot.perod_s': did you mean 'robot.period_s'?",
+        ),
+        (
+            ["prepare", "robot=mgrr", "output=out"],
+            2,
+            "no such robot: 'mgrr': did you mean 'mgr'? known: create, mgr, mur",
+        ),
+        (["prepare", "output=out"], 2, "option 'recording' is missing: add recording=..."),
+        (["prepare", "recording=none", "output=out", "seed=x"], 1, "field 'seed': Input should be a valid integer"),
+        (["prepare", "recording=none", "output=out"], 1, "no recording folder none"),
+        (["experiment", "output=out"], 1, "say which: name=..."),
+        (["experiment", "name=dynamcs"], 1, "no such experiment: 'dynamcs': did you mean 'dynamics'?"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_the_remedy(workplace, capfd, arguments, status, message):
+    assert call(*arguments) == status
+    error = capfd.readouterr().err
+    assert message in error
+    assert len(error.strip().splitlines()) == 1
+    assert "Traceback" not in error
+    assert list(workplace.iterdir()) == []
+
+
+def test_a_sweep_runs_each_value(recording, workplace):
+    assert call("prepare", "-m", "robot=mgr", f"recording={recording}", "seed=1,2", "output=out_${seed}") == 0
+    assert (workplace / "out_1").is_dir()
+    assert (workplace / "out_2").is_dir()
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), PermissionError(13, "denied", "there")])
+def test_a_fault_of_the_system_is_one_line(recording, workplace, capfd, monkeypatch, fault):
+    def fail(*arguments):
+        raise fault
+
+    monkeypatch.setattr("swarmtwin.commands.prepare.save_preparation", fail)
+    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 1
+    error = capfd.readouterr().err
+    assert "the disk is full" in error or "no permission" in error
+    assert "Traceback" not in error
+    assert [path.name for path in workplace.iterdir()] == ["recording"]
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_command_leaves_nothing_and_the_next_one_works(recording, workplace, stop):
+    hold = workplace / "hold.py"
+    hold.write_text(
+        "import sys, time\n"
+        "import swarmtwin.commands.prepare as prepare\n"
+        "def wait(*arguments):\n    print('waiting', flush=True)\n    time.sleep(30)\n"
+        "prepare.save_preparation = wait\n"
+        "from swarmtwin.commands import main\nmain()\n"
+    )
+    command = [sys.executable, str(hold), "prepare", "robot=mgr", f"recording={recording}", "output=out"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "waiting\n"
+    process.send_signal(stop)
+    _, error = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert error.strip().splitlines()[-1].startswith("swarmtwin prepare: interrupted")
+    assert "Traceback" not in error
+    assert not (workplace / "out").exists()
+    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 0
+
+
+def test_a_killed_command_does_not_stand_in_the_way(recording, workplace):
+    (workplace / ".out.partial").mkdir()
+    (workplace / ".out.partial" / "transitions.parquet").write_text("half")
+    (workplace / ".out.lock.partial").write_text("")
+    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 0
+    assert not (workplace / ".out.partial").exists()
+
+
+def test_help_needs_none_of_the_heavy_packages():
+    script = "import sys; sys.argv = ['swarmtwin', '--help']; from swarmtwin.commands import main; main()\n"
+    script += "print(sorted({'torch', 'lightning', 'mlflow', 'hydra', 'pandas', 'numpy'} & sys.modules.keys()))"
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines()[-1] == "[]"
+    for name in COMMANDS:
+        assert f"  {name}" in answer.stdout
+
+
+def test_an_unknown_command_names_the_one_meant():
+    answer = subprocess.run([SWARMTWIN, "trian"], capture_output=True, text=True, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr.startswith("swarmtwin: unknown command 'trian': did you mean 'train'?")
+
+
+def primary_configs():
+    yield from ((name, name, command.module) for name, command in COMMANDS.items() if name != "experiment")
+    for path in sorted((config_folder() / "experiment").glob("*.yaml")):
+        yield f"experiment-{path.stem}", f"experiment/{path.stem}", f"experiments.{path.stem}"
+
+
+@pytest.mark.parametrize(("config", "module"), [pytest.param(c, m, id=i) for i, c, m in primary_configs()])
+def test_every_command_has_a_configuration_that_its_options_accept(config, module):
+    options = importlib.import_module(f"swarmtwin.commands.{module}").Options
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        composed = hydra.compose(config)
+    for key in [key for key in composed if OmegaConf.is_missing(composed, key)]:
+        composed[key] = "given"
+    fields = {field.alias or name for name, field in options.model_fields.items()}
+    assert set(composed) == fields
+    options.parse(OmegaConf.to_container(composed, resolve=True), config)
+
+
+def test_a_config_folder_of_ones_own_is_found(recording, workplace):
+    own = workplace / "own" / "robot"
+    own.mkdir(parents=True)
+    mgr = (config_folder() / "robot" / "mgr.yaml").read_text()
+    (own / "mine.yaml").write_text(mgr.replace("name: mgr", "name: mine"))
+    (recording / "recording.yaml").write_text(
+        (recording / "recording.yaml").read_text().replace("robot: mgr", "robot: mine")
+    )
+    assert call("prepare", "--config-dir=own", "robot=mine", f"recording={recording}", "output=out") == 0
