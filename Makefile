@@ -6,7 +6,7 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data lock clean
+.PHONY: help setup run test benchmark lint ui data lock
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
@@ -47,6 +47,18 @@ lint: setup
 
 ui: setup
 	$(BIN)/mlflow ui --backend-store-uri $${MLFLOW_TRACKING_URI:-sqlite:///mlflow.db} --host 127.0.0.1 --port 5000
+
+RECORD := $(BIN)/swarmtwin record
+data: setup  # what the paper had, and a later session of the ground robot that is not like the first
+	rm -rf data && mkdir data
+	$(RECORD) robot=mgr vehicle=1 transitions=55068 steps=120 seed=1 output=data/mgr/reference
+	$(RECORD) robot=mgr vehicle=2 transitions=5874 steps=89 seed=2 output=data/mgr/other_vehicle
+	$(RECORD) robot=mgr vehicle=1 runs=20 steps=60 seed=3 output=data/mgr/open_loop
+	$(RECORD) robot=mgr vehicle=1 runs=150 steps=40 seed=4 'effects=[{name: battery_sag, loss: 0.3}]' output=data/mgr/later_session
+	$(RECORD) robot=mur vehicle=1 transitions=15000 steps=75 seed=5 output=data/mur/reference
+	$(RECORD) robot=mur vehicle=2 transitions=1372 steps=49 seed=6 output=data/mur/other_vehicle
+	$(RECORD) robot=mur vehicle=1 runs=20 steps=60 seed=7 output=data/mur/open_loop
+	$(BIN)/dvc add --quiet data && $(BIN)/dvc push --quiet data
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > constraints.txt

@@ -1,12 +1,13 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
 
-from conftest import REPOSITORY
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 
-MGR = REPOSITORY / "conf" / "robot" / "mgr.yaml"
+MGR = Path(__file__).resolve().parents[1] / "conf" / "robot" / "mgr.yaml"
 
 
 def changed(tmp_path, **changes):

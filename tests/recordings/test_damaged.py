@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from damage import csv_damage, parquet_damage
-from drives import drive, write_drive
+from damage import csv_damage, mingled_csv_damage, parquet_damage
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from drives import drive, write_drive
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.transitions import from_recording
@@ -18,73 +17,83 @@ from swarmtwin.transitions import from_recording
 STEPS, RUNS, VEHICLES = 14, 2, ("1", "2")
 
 
-@pytest.fixture(scope="module", params=["csv", "parquet"])
-def clean(request, robots, tmp_path_factory):
+class Clean:
     """A clean recording of the MGR: its folder, and its transitions by run, vehicle and time."""
-    folder = tmp_path_factory.mktemp("clean") / "recording"
-    write_drive(folder, robots["mgr"], drive(robots["mgr"], RUNS, STEPS, VEHICLES), request.param)
-    return folder, by_key(from_recording(read_recording(folder, robots["mgr"]))[0])
+
+    def __init__(self, folder, robot, file_format):
+        self.folder = write_drive(folder, robot, drive(robot, RUNS, STEPS, VEHICLES), file_format)
+        self.robot = robot
+        self.transitions = by_key(from_recording(read_recording(folder, robot))[0])
+
+
+@pytest.fixture(scope="module")
+def clean_csv(robots, tmp_path_factory):
+    return Clean(tmp_path_factory.mktemp("clean") / "recording", robots["mgr"], "csv")
+
+
+@pytest.fixture(scope="module")
+def clean_parquet(robots, tmp_path_factory):
+    return Clean(tmp_path_factory.mktemp("clean") / "recording", robots["mgr"], "parquet")
 
 
 def by_key(transitions):
-    """Everything known of each transition, by run, vehicle and time."""
-    return {
-        (
-            transitions.runs[transitions.run[index]],
-            transitions.vehicles[transitions.vehicle[index]],
-            transitions.time_s[index],
-        ): (
-            np.concatenate(
-                [transitions.command[index], transitions.pose[index], transitions.displacement[index]]
-                + [transitions.duration_s[index : index + 1]]
-            ),
-            transitions.previous_command[index],
-        )
-        for index in range(len(transitions))
-    }
+    """Everything known of each transition, by run, vehicle and time: its values, and the previous command."""
+    values = np.column_stack([transitions.command, transitions.pose, transitions.displacement, transitions.duration_s])
+    runs = [transitions.runs[index] for index in transitions.run]
+    vehicles = [transitions.vehicles[index] for index in transitions.vehicle]
+    keys = zip(runs, vehicles, transitions.time_s.tolist(), strict=True)
+    return dict(zip(keys, zip(values, transitions.previous_command, strict=True), strict=True))
 
 
-def read_damaged(folder, robot, damages):
-    """Damage a copy of the recording; return its transitions and counts, or the error, which names a file of it."""
+def attempt(folder, robot):
+    """Return the recording and no refusal, or no recording and the message that refused it."""
+    try:
+        return read_recording(folder, robot), None
+    except UserError as error:
+        return None, str(error)
+
+
+def assert_refused_or_true(clean, damages):
+    """Damage a copy of the clean recording and read it.
+
+    Either it is refused by an error of one line that begins with the faulty file, or every transition read is, number
+    by number, one of the clean recording's, none of an untouched run is missing, and all pairs are accounted for.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / "recording"
-        shutil.copytree(folder, copy)
+        shutil.copytree(clean.folder, copy)
         for damage in damages:
             damage(copy)
-        try:
-            recording = read_recording(copy, robot)
-        except UserError as error:
-            assert str(error).startswith(str(copy))
-            assert "\n" not in str(error)
-            return None
-        return from_recording(recording)
-
-
-def assert_nothing_wrong(result, clean_transitions):
-    """Check that each transition is one of the clean ones, and that no clean one is missing without being counted."""
-    transitions, counts = result
-    kept = by_key(transitions)
-    for key, (values, previous_command) in kept.items():
-        clean_values, clean_previous = clean_transitions[key]
-        assert np.array_equal(values, clean_values)
-        assert np.isnan(previous_command).all() or np.array_equal(previous_command, clean_previous)
+        recording, refusal = attempt(copy, clean.robot)
+        if refusal is not None:
+            assert refusal.startswith(str(copy))
+            assert "\n" not in refusal
+            return
+    transitions, counts = from_recording(recording)
+    found = by_key(transitions)
+    touched = {f"run_{damage.run:05d}" for damage in damages if damage.run is not None}
+    assert {key for key in clean.transitions if key[0] not in touched} <= set(found)
+    for key, (values, previous_command) in found.items():
+        true_values, true_previous = clean.transitions[key]
+        assert np.array_equal(values, true_values), key
+        assert np.isnan(previous_command).all() or np.array_equal(previous_command, true_previous), key
     assert counts.considered == counts.kept + sum(counts.dropped.values())
-    assert counts.kept == len(kept)
+    assert counts.kept == len(transitions)
 
 
-@pytest.mark.parametrize("clean", ["csv"], indirect=True)
 @settings(max_examples=500, deadline=None, derandomize=True)
-@given(damages=st.lists(csv_damage, min_size=1, max_size=2))
-def test_damaged_csv_is_refused_or_read_without_a_wrong_transition(clean, robots, damages):
-    folder, clean_transitions = clean
-    if result := read_damaged(folder, robots["mgr"], damages):
-        assert_nothing_wrong(result, clean_transitions)
+@given(damage=csv_damage)
+def test_damaged_csv_is_refused_or_read_without_a_wrong_transition(clean_csv, damage):
+    assert_refused_or_true(clean_csv, [damage])
 
 
-@pytest.mark.parametrize("clean", ["parquet"], indirect=True)
+@settings(max_examples=200, deadline=None, derandomize=True)
+@given(damages=mingled_csv_damage)
+def test_csv_damaged_in_several_ways_is_refused_or_read_without_a_wrong_transition(clean_csv, damages):
+    assert_refused_or_true(clean_csv, damages)
+
+
 @settings(max_examples=200, deadline=None, derandomize=True)
 @given(damage=parquet_damage)
-def test_damaged_parquet_is_refused_or_read_without_a_wrong_transition(clean, robots, damage):
-    folder, clean_transitions = clean
-    if result := read_damaged(folder, robots["mgr"], [damage]):
-        assert_nothing_wrong(result, clean_transitions)
+def test_damaged_parquet_is_refused_or_read_without_a_wrong_transition(clean_parquet, damage):
+    assert_refused_or_true(clean_parquet, [damage])

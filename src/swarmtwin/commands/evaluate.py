@@ -7,11 +7,13 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin import registry
-from swarmtwin.commands.measurement import Errors, Figures, Measurement, load_simulation, measure
+from swarmtwin.commands.measurement import Measurement, load_simulation, measure
 from swarmtwin.commands.sources import Vehicles, read_vehicles
-from swarmtwin.dynamics import figures as plots
+from swarmtwin.dynamics.evaluation import ErrorFigure
+from swarmtwin.dynamics.figures import runs_figure, scatter_figure
+from swarmtwin.dynamics.open_loop import OpenLoopFigure
 from swarmtwin.files import new_folder, write_text
-from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.tracking import tracked_run
 
 
@@ -41,56 +43,47 @@ def run(options: Options) -> None:
             measurement = measure(dynamics, provenance, recording, options.recording)
             about = {"robot": options.robot.name, "model": dynamics.config.name, "recording": options.recording.name}
             write_text(folder / "metrics.json", json.dumps({**about, **measurement.metrics()}, indent=1) + "\n")
-            _draw(folder, measurement)
-        tracked.metrics(tracked_figures(measurement.overall))
+            _draw(folder, measurement, recording.header.arena_mm)
+        tracked.metrics(measurement.overall.tracked())
         tracked.folder(options.output, "evaluation")
     Console().print(table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False)
 
 
-def tracked_figures(figures: Figures) -> dict[str, float]:
-    """Return the figures by name and unit, as MLflow keeps them."""
-    named = {
-        "one_step_position_mm": figures.one_step.position_mm.mean,
-        "one_step_orientation_deg": figures.one_step.orientation_deg.mean,
-        "floor_position_mm": figures.floor.position_mm.mean,
-        "floor_orientation_deg": figures.floor.orientation_deg.mean,
-    }
-    if figures.model_error:
-        named["model_error_position_mm"] = figures.model_error.position_mm.mean
-        named["model_error_orientation_deg"] = figures.model_error.orientation_deg.mean
-    if figures.open_loop_mm:
-        named["open_loop_mm"] = figures.open_loop_mm.mean
-    return named
-
-
 def table(name: str, measurement: Measurement) -> Table:
     """Return a table a person reads: the figures of each vehicle, and below them those over all."""
-    exact = measurement.overall.floor.kind == "exact"
+    exact = measurement.overall.floor_kind == "exact"
     title = f"{name}{' (held-out runs)' if measurement.held_out else ''}"
     floor = "floor" if exact else "floor (estimate)"
     shown = Table("vehicle", "transitions", "one-step", floor, "model error", "open loop, RMSE", title=title)
-    for vehicle, figures in [*measurement.vehicles.items(), ("all", measurement.overall)]:
-        loop = figures.open_loop_mm
-        shown.add_row(
-            vehicle,
-            str(figures.transitions),
-            errors_text(figures.one_step),
-            errors_text(figures.floor),
-            errors_text(figures.model_error) if figures.model_error else "",
-            f"{loop.mean:.0f} ± {loop.sd:.0f} mm, {loop.runs} runs" if loop else "",
-        )
+    rows = list(measurement.vehicles.items())
+    if len(rows) > 1:
+        rows.append(("all", measurement.overall))
+    for vehicle, figures in rows:
+        errors = (figures.one_step, figures.floor, figures.model_error)
+        cells = [in_two_lines(errors_text(figure)) if figure else "" for figure in errors]
+        shown.add_row(vehicle, str(figures.one_step.transitions), *cells, in_two_lines(loop_text(figures.open_loop)))
     for column in shown.columns[1:]:
         column.justify = "right"
     return shown
 
 
-def errors_text(errors: Errors) -> str:
+def errors_text(errors: ErrorFigure) -> str:
     """Return errors as the paper's tables write them: mean ± standard deviation."""
-    position, orientation = errors.position_mm, errors.orientation_deg
-    return f"{position.mean:.2f} ± {position.sd:.2f} mm  {orientation.mean:.2f} ± {orientation.sd:.2f}°"
+    position = f"{errors.position_mm:.2f} ± {errors.position_sd_mm:.2f} mm"
+    return f"{position}, {errors.orientation_deg:.2f} ± {errors.orientation_sd_deg:.2f}°"
 
 
-def _draw(folder: Path, measurement: Measurement) -> None:
-    plots.runs(measurement.runs).savefig(folder / "runs.png")
-    plots.scatter(measurement.predicted, measurement.transitions.displacement).savefig(folder / "scatter.png")
+def loop_text(loop: OpenLoopFigure | None) -> str:
+    """Return an open-loop error, mean ± standard deviation over runs; nothing where no run could be predicted."""
+    return f"{loop.rmse_mm:.0f} ± {loop.rmse_sd_mm:.0f} mm, {loop.runs} runs" if loop else ""
+
+
+def in_two_lines(text: str) -> str:
+    """Break errors after the first figure, for narrow columns."""
+    return text.replace(", ", "\n", 1)
+
+
+def _draw(folder: Path, measurement: Measurement, arena: Arena) -> None:
+    runs_figure(measurement.runs, arena).savefig(folder / "runs.png")
+    scatter_figure(measurement.predicted, measurement.transitions.displacement).savefig(folder / "scatter.png")

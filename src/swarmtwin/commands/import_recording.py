@@ -63,13 +63,14 @@ def run(options: Options) -> None:
 
 
 def _summary(recording: Recording, transitions: Transitions, counts: Counts) -> Table:
-    dropped = sum(counts.dropped.values())
-    title = f"{recording.robot.title}: {len(recording.runs)} runs, {counts.kept} transitions, {dropped} dropped"
-    table = Table("vehicle", "runs", "rows", "transitions", title=title)
+    table = Table(
+        "vehicle", "runs", "rows", "transitions", title=f"{recording.robot.title}: {len(recording.runs)} runs"
+    )
     for index, vehicle in enumerate(recording.vehicles):
         tracks = [track for track in recording.tracks if track.vehicle == vehicle]
         usable = int(np.sum(transitions.vehicle == index))
         table.add_row(vehicle, str(len(tracks)), str(sum(map(len, tracks))), str(usable))
+    table.add_row("all", str(len(recording.tracks)), str(counts.rows), str(counts.kept), style="bold")
     for column in table.columns[1:]:
         column.justify = "right"
     return table

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -11,58 +11,60 @@ import pandas as pd
 from swarmtwin.dynamics import evaluation
 from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.evaluation import ErrorFigure
-from swarmtwin.dynamics.open_loop import OpenLoop, open_loop
+from swarmtwin.dynamics.open_loop import OpenLoop, OpenLoopFigure, open_loop, summary
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.store import load_dynamics
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.robot import DISPLACEMENT_COLUMNS, Robot, StrictModel
+from swarmtwin.robot import DISPLACEMENT_COLUMNS, Robot
 from swarmtwin.standin.truth import TRUTH_FILE, read_truth
 from swarmtwin.transitions import Transitions, from_recording
 
-
-class Spread(StrictModel):
-    """Mean and standard deviation."""
-
-    mean: float
-    sd: float
+FloorKind = Literal["exact", "nearest_neighbours"]
 
 
-class Errors(StrictModel):
-    """Position errors in mm and orientation errors in degrees, over transitions (DESIGN section 2)."""
+@dataclasses.dataclass(frozen=True)
+class Figures:
+    """The error figures that always stand together (DESIGN section 2).
 
-    position_mm: Spread
-    orientation_deg: Spread
+    Attributes:
+        one_step: predicted against measured displacements.
+        floor: what the best possible model would still err.
+        floor_kind: exact on a stand-in, else an estimate from nearest neighbours.
+        model_error: predicted against exact mean displacements, on a stand-in.
+        open_loop: over whole runs; None where no run can be predicted.
+    """
 
-    @classmethod
-    def of(cls, figure: ErrorFigure) -> "Errors":
-        """Take over a figure."""
-        return cls(
-            position_mm=Spread(mean=figure.position_mm, sd=figure.position_sd_mm),
-            orientation_deg=Spread(mean=figure.orientation_deg, sd=figure.orientation_sd_deg),
-        )
+    one_step: ErrorFigure
+    floor: ErrorFigure
+    floor_kind: FloorKind
+    model_error: ErrorFigure | None
+    open_loop: OpenLoopFigure | None
 
+    def plain(self) -> dict[str, Any]:
+        """Return the figures as plain data, as they stand in metrics.json."""
+        loop = self.open_loop
+        return {
+            "transitions": self.one_step.transitions,
+            "one_step": _plain(self.one_step),
+            "floor": {"kind": self.floor_kind, **_plain(self.floor)},
+            "model_error": _plain(self.model_error) if self.model_error else None,
+            "open_loop": {"rmse_mm": {"mean": loop.rmse_mm, "sd": loop.rmse_sd_mm}, "runs": loop.runs}
+            if loop
+            else None,
+        }
 
-class Floor(Errors):
-    """What the best possible model would still err: exact on a stand-in, else estimated from nearest neighbours."""
-
-    kind: Literal["exact", "nearest_neighbours"]
-
-
-class OpenLoopErrors(Spread):
-    """Root mean square errors in mm, over whole runs."""
-
-    runs: int
-
-
-class Figures(StrictModel):
-    """The three error figures that always stand together, and on a stand-in the model error."""
-
-    transitions: int
-    one_step: Errors
-    floor: Floor
-    model_error: Errors | None
-    open_loop_mm: OpenLoopErrors | None
+    def tracked(self) -> dict[str, float]:
+        """Return the figures by name and unit, as MLflow keeps them."""
+        named = {"one_step": self.one_step, "floor": self.floor, "model_error": self.model_error}
+        by_name = {}
+        for name, figure in named.items():
+            if figure:
+                by_name[f"{name}_position_mm"] = figure.position_mm
+                by_name[f"{name}_orientation_deg"] = figure.orientation_deg
+        if self.open_loop:
+            by_name["open_loop_mm"] = self.open_loop.rmse_mm
+        return by_name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,10 +87,10 @@ class Measurement:
     transitions: Transitions
     predicted: np.ndarray
 
-    def metrics(self) -> dict[str, object]:
+    def metrics(self) -> dict[str, Any]:
         """Return the figures as plain data: those over all vehicles, and those of each."""
-        by_vehicle = {vehicle: figures.model_dump(mode="json") for vehicle, figures in self.vehicles.items()}
-        return {**self.overall.model_dump(mode="json"), "held_out_runs": self.held_out, "vehicles": by_vehicle}
+        by_vehicle = {vehicle: figures.plain() for vehicle, figures in self.vehicles.items()}
+        return {**self.overall.plain(), "held_out_runs": self.held_out, "vehicles": by_vehicle}
 
 
 def load_simulation(folder: Path, robot: Robot) -> tuple[Dynamics, Provenance]:
@@ -131,20 +133,24 @@ def _figures(
     dynamics: Dynamics, transitions: Transitions, exact: np.ndarray | None, chosen: np.ndarray, runs: Sequence[OpenLoop]
 ) -> Figures:
     part = transitions.where(chosen)
-    if exact is None:
-        floor_figure, kind = evaluation.neighbour_floor(dynamics, part).error, "nearest_neighbours"
-        model_error = None
-    else:
-        floor_figure, kind = evaluation.floor(exact[chosen], part), "exact"
-        model_error = Errors.of(evaluation.model_error(dynamics, part, exact[chosen]))
-    rmse_mm = np.array([run.rmse_mm for run in runs if np.isfinite(run.rmse_mm)])
+    kind: FloorKind = "nearest_neighbours" if exact is None else "exact"
+    predictable = any(np.isfinite(run.rmse_mm) for run in runs)
     return Figures(
-        transitions=len(part),
-        one_step=Errors.of(evaluation.one_step(dynamics, part)),
-        floor=Floor(kind=kind, **Errors.of(floor_figure).model_dump()),
-        model_error=model_error,
-        open_loop_mm=OpenLoopErrors(mean=rmse_mm.mean(), sd=rmse_mm.std(), runs=len(rmse_mm)) if len(rmse_mm) else None,
+        one_step=evaluation.one_step(dynamics, part),
+        floor=evaluation.neighbour_floor(dynamics, part).error
+        if exact is None
+        else evaluation.floor(exact[chosen], part),
+        floor_kind=kind,
+        model_error=None if exact is None else evaluation.model_error(dynamics, part, exact[chosen]),
+        open_loop=summary(runs) if predictable else None,
     )
+
+
+def _plain(figure: ErrorFigure) -> dict[str, Any]:
+    return {
+        "position_mm": {"mean": figure.position_mm, "sd": figure.position_sd_mm},
+        "orientation_deg": {"mean": figure.orientation_deg, "sd": figure.orientation_sd_deg},
+    }
 
 
 def _exact_means(dynamics: Dynamics, transitions: Transitions, folder: Path) -> np.ndarray:

@@ -16,7 +16,7 @@ from swarmtwin import registry
 from swarmtwin.commands.outputs import output_folder
 from swarmtwin.commands.progress import training_bars
 from swarmtwin.commands.sources import Vehicles, training_transitions
-from swarmtwin.dynamics import figures
+from swarmtwin.dynamics.figures import history_figure
 from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
 from swarmtwin.dynamics.recipe import Recipe
@@ -81,7 +81,7 @@ def run(options: Options) -> None:
 
 def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:
     seeds = range(options.seed, options.seed + options.seeds)
-    epochs = options.recipe.for_model(config).epochs or 0
+    epochs = options.recipe.for_model(config, len(transitions.part("train"))).epochs or 0
     with training_bars(f"{options.robot.name} {config.name}", seeds, epochs) as report:
         return train(transitions, config, options.recipe, seeds, checkpoints, report)
 
@@ -108,7 +108,7 @@ def _save(folder: Path, trained: Trained, provenance: Provenance) -> None:
         for number, epoch in enumerate(result.history, start=1)
     ]
     pd.DataFrame(history).to_csv(folder / "history.csv", index=False, float_format="%.5f")
-    figures.history(trained.results).savefig(folder / "history.png")
+    history_figure(trained.results).savefig(folder / "history.png")
     shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
 
 

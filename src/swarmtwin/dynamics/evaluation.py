@@ -14,7 +14,7 @@ from swarmtwin.geometry import orientation_error_rad, position_error_mm
 from swarmtwin.transitions import Transitions
 
 FOLDS = 5
-NEIGHBOURS = (10, 20, 40, 80, 160)
+NEIGHBOURS = (20, 40, 80, 160, 320)
 
 
 class ErrorFigure(NamedTuple):
@@ -47,7 +47,11 @@ class ErrorFigure(NamedTuple):
 
 
 class FloorEstimate(NamedTuple):
-    """What the best model could err, estimated from data alone by nearest neighbours: somewhat too high as a rule."""
+    """What the best model could err, estimated from data alone by nearest neighbours.
+
+    Neighbours miss some of what can be learned, so the estimate is too high, the more so the more inputs and the fewer
+    data there are: a good network may come out below it.
+    """
 
     error: ErrorFigure
     neighbours: int
@@ -77,19 +81,24 @@ def model_error(dynamics: Dynamics, transitions: Transitions, exact_mean: np.nda
     return ErrorFigure.between(predict(dynamics, transitions), exact_mean)
 
 
-def neighbour_floor(dynamics: Dynamics, transitions: Transitions) -> FloorEstimate:
+def neighbour_floor(dynamics: Dynamics, transitions: Transitions, scored: np.ndarray | None = None) -> FloorEstimate:
     """Estimate the floor of models that are given the same inputs as `dynamics`, from these transitions alone.
 
     Each transition is predicted from its nearest neighbours in the other folds, whole runs in a fold; the number of
     neighbours is the one that predicts best.
+
+    Args:
+        dynamics: says what the inputs are; its weights do not matter.
+        transitions: of one vehicle, all that there are.
+        scored: mask (N,) of those that count, such as the test split; None for all.
     """
     with torch.inference_mode():
         inputs = dynamics.encoding(Situation.from_transitions(transitions, dynamics.parts)).numpy().astype(float)
+    scored = np.ones(len(transitions), bool) if scored is None else scored
+    measured = transitions.displacement
     fold = transitions.run % FOLDS if len(np.unique(transitions.run)) >= FOLDS else _blocks(len(transitions))
     figures = {
-        count: ErrorFigure.between(
-            _cross_predicted(inputs, transitions.displacement, fold, count), transitions.displacement
-        )
+        count: ErrorFigure.between(_cross_predicted(inputs, measured, fold, scored, count)[scored], measured[scored])
         for count in NEIGHBOURS
     }
     best = min(figures, key=lambda count: figures[count].position_mm)
@@ -110,9 +119,11 @@ def _blocks(count: int) -> np.ndarray:
     return np.arange(count) * FOLDS // max(count, 1)
 
 
-def _cross_predicted(inputs: np.ndarray, outputs: np.ndarray, fold: np.ndarray, count: int) -> np.ndarray:
-    predicted = np.empty_like(outputs)
-    for held_out in np.unique(fold):
-        asked = fold == held_out
-        predicted[asked] = NeighbourRegression(inputs[~asked], outputs[~asked]).predict(inputs[asked], count)
+def _cross_predicted(
+    inputs: np.ndarray, outputs: np.ndarray, fold: np.ndarray, scored: np.ndarray, count: int
+) -> np.ndarray:
+    predicted = np.full_like(outputs, np.nan)
+    for held_out in np.unique(fold[scored]):
+        known, asked = fold != held_out, (fold == held_out) & scored
+        predicted[asked] = NeighbourRegression(inputs[known], outputs[known]).predict(inputs[asked], count)
     return predicted

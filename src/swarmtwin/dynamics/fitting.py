@@ -4,6 +4,7 @@ import hashlib
 import json
 import logging
 import signal
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,7 +60,7 @@ def fit_seed(
     numbers bit for bit.
     """
     assert recipe.epochs is not None
-    with _one_thread(), torch.random.fork_rng(devices=[]):
+    with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         dynamics = Dynamics(data.robot, config)
         dynamics.learn_scaling(*data.train)
@@ -92,7 +93,9 @@ def _run_trainer(
     )
     interrupt_handler = signal.getsignal(signal.SIGINT)
     try:
-        trainer.fit(dynamics, train_dataloaders=batches, val_dataloaders=validation)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module=r"lightning\.")
+            trainer.fit(dynamics, train_dataloaders=batches, val_dataloaders=validation)
     except SystemExit:  # what Lightning makes of Ctrl-C and SIGTERM
         signal.signal(signal.SIGINT, interrupt_handler)
         raise KeyboardInterrupt from None
@@ -114,7 +117,8 @@ def _identity(config: ModelConfig, recipe: Recipe, data: TrainingData, seed: int
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
+def one_thread() -> Iterator[None]:
+    """Let torch compute on one thread: as quick on nets this small, and the same numbers every time."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

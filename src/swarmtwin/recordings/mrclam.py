@@ -120,12 +120,12 @@ def _read_stream(file: Path, fields: Sequence[str]) -> _Stream:
     if len(complete) < len(content):
         logger.warning("%s: its last row is cut off and left out", file)
     try:
-        lines = complete.decode().splitlines()
-        values = np.loadtxt(lines, ndmin=2)
+        rows = [line for line in complete.decode().splitlines() if line.partition("#")[0].strip()]
+        if not rows:
+            raise fault(file, "there are no rows", "copy it again from the data set")
+        values = np.loadtxt(rows, ndmin=2)
     except ValueError:
         raise _damaged_row(file, complete, fields) from None
-    if not values.size:
-        raise fault(file, "there are no rows", "copy it again from the data set")
     if values.shape[1] != len(fields) or not np.isfinite(values).all():
         raise _damaged_row(file, complete, fields)
     time_s, first = np.unique(values[:, 0], return_index=True)
@@ -158,8 +158,9 @@ def _resample(vehicle: str, time_s: np.ndarray, session_s: float, poses: _Stream
     pose[:, :2] *= 1000
     command = np.full((len(time_s), 2), np.nan)
     command[:-1] = mean_held(commands.time_s - session_s, commands.values * [1000, 1], time_s, LONGEST_HOLD_S)
-    driven = np.flatnonzero(~np.isnan(command[:, 0]) & ~np.isnan(pose[:, 0]))
-    rows = np.arange(driven[0], driven[-1] + 2) if len(driven) else np.arange(0)
+    seen, commanded = ~np.isnan(pose[:, 0]), ~np.isnan(command[:, 0])
+    starts, ends = np.flatnonzero(seen & commanded), np.flatnonzero(seen[1:] & commanded[:-1]) + 1
+    rows = np.arange(starts[0], ends[-1] + 1) if len(starts) and len(ends) else np.arange(0)
     return Track("", vehicle, time_s[rows], command[rows], pose[rows])
 
 

@@ -152,8 +152,8 @@ def _parse_parquet(file: Path, content: bytes, robot: Robot) -> RunTable:
 def _cast(file: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
-    fits = text or pa.types.is_integer(kind) if name == "vehicle" else pa.types.is_floating(kind)
-    if not fits and not (name != "vehicle" and (pa.types.is_integer(kind) or pa.types.is_null(kind))):
+    fits = text if name == "vehicle" else pa.types.is_floating(kind) or pa.types.is_null(kind)
+    if not fits and not pa.types.is_integer(kind):
         wanted = "text" if name == "vehicle" else "numbers"
         raise fault(file, f"values of type {kind} instead of {wanted}", f"store {wanted}", column=name)
     return column.cast(pa.string() if name == "vehicle" else pa.float64(), safe=False)

@@ -15,15 +15,18 @@ ROW_REASONS = {
     "truncated_row": "the file breaks off within its last row, which is left out",
     "no_time": "a row without time is left out, and the command before it is unknown",
     "duplicate_row": "a row that repeats the one before it is left out",
-    "infinite_value": "a pose or command with an infinite number counts as missing",
+    "impossible_value": "a pose or command with an infinite number, or a heading of over 1000 turns, counts as missing",
 }
+
+# A heading may be recorded unwrapped; beyond a thousand turns it is damage, and wrapping would make it look right.
+LARGEST_HEADING_RAD = 2000 * np.pi
 
 
 def tracks_of(table: RunTable, run: str, vehicles: Sequence[str] | None) -> tuple[list[Track], Counter[str]]:
     """Split a run's rows into tracks, in order of the vehicles' ids, and count the rows set aside, by reason.
 
     Rows of several vehicles may interleave in any way: only each vehicle's own rows must be in order of time. Headings
-    are wrapped. A pose or command with an infinite number becomes one of NaN. A row without time is left out, and the
+    are wrapped. A pose or command with an impossible number becomes one of NaN. A row without time is left out, and the
     command of the row before it voided, since nobody knows how long it was held.
 
     Args:
@@ -36,10 +39,10 @@ def tracks_of(table: RunTable, run: str, vehicles: Sequence[str] | None) -> tupl
     """
     _check_vehicles(table, vehicles)
     tracks, dropped = [], Counter({"truncated_row": int(table.truncated)})
-    command, infinite_command = _voided(table.command)
-    pose, infinite_pose = _voided(table.pose)
+    command, impossible_command = _voided(table.command, np.inf)
+    pose, impossible_pose = _voided(table.pose, np.array([np.inf, np.inf, LARGEST_HEADING_RAD]))
     pose[:, 2] = wrap_angle(pose[:, 2])
-    dropped["infinite_value"] += int((infinite_command | infinite_pose).sum())
+    dropped["impossible_value"] += int((impossible_command | impossible_pose).sum())
     for code in np.argsort(table.vehicles):
         rows = np.flatnonzero(table.vehicle == code) if len(table.vehicles) > 1 else np.arange(len(table.time_s))
         rows = _without_timeless(table, rows, command, dropped)
@@ -58,10 +61,11 @@ def _check_vehicles(table: RunTable, known: Sequence[str] | None) -> None:
     raise fault(table.file, what, "correct the id, or add it there", table.row_number(row), "vehicle")
 
 
-def _voided(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return `values` (R, k) with incomplete rows all NaN, and which rows (R,) held an infinite number."""
-    complete = np.isfinite(values).all(axis=1)
-    return np.where(complete[:, None], values, np.nan), np.isinf(values).any(axis=1)
+def _voided(values: np.ndarray, limit: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """Return `values` (R, k) with incomplete and impossible rows all NaN, and which rows (R,) reached the `limit`."""
+    impossible = (np.abs(values) >= limit).any(axis=1)
+    complete = ~impossible & ~np.isnan(values).any(axis=1)
+    return np.where(complete[:, None], values, np.nan), impossible
 
 
 def _without_timeless(table: RunTable, rows: np.ndarray, command: np.ndarray, dropped: Counter[str]) -> np.ndarray:
@@ -89,7 +93,7 @@ def _in_order(table: RunTable, rows: np.ndarray, dropped: Counter[str]) -> np.nd
     conflict = (step == 0) & ~same
     if conflict.any():
         later = int(np.argmax(conflict)) + 1
-        what = f"vehicle {vehicle!r} has a second, different row at {time_s[later]:g} s: two vehicles with one id?"
+        what = f"vehicle {vehicle!r} has two different rows at {time_s[later]:g} s, as if two vehicles had one id"
         raise fault(table.file, what, "give each vehicle its own id", table.row_number(int(rows[later])), "vehicle")
     dropped["duplicate_row"] += int((step == 0).sum())
     return rows[np.append(True, step > 0)]

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from swarmtwin.standin.session import Footage
 
-CELL_SIZE = 256
+CELL_SIZE = 512
 
 
 @dataclass(frozen=True)

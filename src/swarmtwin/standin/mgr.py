@@ -13,8 +13,8 @@ from swarmtwin.standin.physics import Physics, Surroundings, take_up
 FULL_PWM = 120.0
 
 SPREADS = {
-    "left_speed": 0.025,
-    "right_speed": 0.025,
+    "left_speed": 0.02,
+    "right_speed": 0.02,
     "left_dead_band": 0.05,
     "right_dead_band": 0.05,
     "time_constant": 0.05,
@@ -42,7 +42,7 @@ class MgrUnit:
     def as_drawn(cls, vehicle_count: int = 1, dtype: Any = np.float64) -> Self:
         """Return units exactly as on the drawing, left and right alike."""
         wheel, vehicle = np.ones((2, 1, vehicle_count), dtype), np.ones(vehicle_count, dtype)
-        return cls(wheel * 96.0, wheel * 12.0, vehicle * 0.055, vehicle * 68.0)
+        return cls(wheel * 102.0, wheel * 12.0, vehicle * 0.055, vehicle * 72.0)
 
     @classmethod
     def of(cls, vehicles: Sequence[str], dtype: Any = np.float64) -> Self:
@@ -60,20 +60,27 @@ class MgrUnit:
 
 
 class Mgr(Physics):
-    """PWM → wheel speed → slip → motion of the body, at 0.02 s."""
+    """PWM → wheel speed → slip → motion of the body, at 0.02 s.
+
+    Attributes:
+        curvature: how much the motor curve flattens towards full PWM.
+        slip: share of the wheels' travel that is lost on the ground.
+        slip_noise_sqrt_s: random part of it: standard deviation over one second, as a share of the travel.
+        skid_s: velocity outwards in a curve, per centripetal acceleration.
+    """
 
     states = ("x_mm", "y_mm", "heading_rad", "left_mm_s", "right_mm_s", "left_slack_mm", "right_slack_mm")
     substeps = 25
     noises = 2
-    position_noise_mm = 0.9
-    heading_noise_rad = 0.021
+    position_noise_mm = 1.0
+    heading_noise_rad = 0.020
     resting_command = (0.0, 0.0)
     memory_of_place = False
     latent_draws = 64
 
     curvature = 0.35
     slip = 0.04
-    slip_noise_sqrt_s = 0.075
+    slip_noise_sqrt_s = 0.076
     skid_s = 0.03
 
     def __init__(self, unit: MgrUnit, conditions: Conditions) -> None:
@@ -117,6 +124,6 @@ class Mgr(Physics):
     def guess(self, command: np.ndarray) -> np.ndarray:
         """Expect speed in proportion to PWM, and a differential drive's motion (..., 3) over 0.5 s."""
         left_mm, right_mm = command[..., 0] * 0.35, command[..., 1] * 0.35
-        turn_rad = (right_mm - left_mm) / 68.0
+        turn_rad = (right_mm - left_mm) / 72.0
         forward_mm = (left_mm + right_mm) / 2
         return np.stack([forward_mm, forward_mm * turn_rad / 2, turn_rad], axis=-1)

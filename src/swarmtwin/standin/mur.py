@@ -19,8 +19,8 @@ class MurUnit:
     """What differs from unit to unit; each (V,).
 
     Attributes:
-        thrust: acceleration per squared fin speed, mm/s² per (rad/s)².
-        yaw: angular acceleration per squared fin speed, for a fin turned sideways: rad/s² per (rad/s)².
+        thrust: acceleration by the jet, mm/s² per (rad/s)² of squared beat.
+        yaw: angular acceleration by a jet to the side, rad/s² per (rad/s)².
         drag_per_mm: quadratic drag along the body.
         servo_s: time constant of the servo.
         trim_rad: angle of the fin when it is told to be straight.
@@ -36,7 +36,7 @@ class MurUnit:
     def as_drawn(cls, vehicle_count: int = 1, dtype: Any = np.float64) -> Self:
         """Return units exactly as on the drawing."""
         one = np.ones(vehicle_count, dtype)
-        return cls(one * 8.5, one * 0.19, one * 0.030, one * 0.04, one * 0.0)
+        return cls(one * 108.0, one * 3.6, one * 0.046, one * 0.04, one * 0.0)
 
     @classmethod
     def of(cls, vehicles: Sequence[str], dtype: Any = np.float64) -> Self:
@@ -55,10 +55,28 @@ class MurUnit:
 class Mur(Physics):
     """Fin angle → thrust and yaw moment → motion through the water, at 0.02 s.
 
-    The fin follows α(t) = mean + amplitude · sin(phase), phase' = frequency (the paper's α(t) = φ + ϕ sin(ωt), with the
-    phase kept from command to command). Water pushed by the fin thrusts the body along the fin, grows with the square
-    of its speed and turns the body when the fin stands sideways; the body recoils from each stroke. Drag is quadratic
-    ahead, stronger sideways (the body drags water along), and grows near the walls, which stop what touches them.
+    The fin follows α(t) = mean + amplitude · sin(phase), phase' = frequency (the paper's α(t) = φ + ϕ sin(ωt)), the
+    phase kept from command to command. Its beat about the mean, by its speed and by its bend alike, makes a jet that
+    grows with the beat's square until the flow stalls, leaves the flexible fin at more than the fin's angle, and
+    thrusts and turns the body. The body recoils from each stroke; a still fin steers like a rudder. Drag is quadratic
+    ahead, nearly linear sideways (the body carries water along), and grows near the walls, which stop what touches.
+
+    Attributes:
+        setting_s: time constant with which the controller takes over a new mean, amplitude and frequency.
+        servo_limit_rad_s: the servo's largest speed.
+        deflection: the jet's angle over that of the fin.
+        wag: how much the jet's angle follows the single stroke, rather than the mean angle.
+        stall_beat: squared beat, (rad/s)², at which half of the thrust is lost.
+        side_thrust: sideways over forward acceleration by the same jet.
+        recoil: angular acceleration of the body against the fin's speed, per second.
+        rudder_per_mm2: angular acceleration by the fin per squared speed ahead.
+        linear_drag_per_s: ahead, sideways, turning.
+        side_drag_per_mm: quadratic drag sideways.
+        turn_drag_per_rad: quadratic drag of turning.
+        eddies: random accelerations ahead and sideways, mm/s per √s, and of turning, rad/s per √s.
+        wall_drag: share by which all drag grows for what touches a wall.
+        wall_reach_mm: distance over which that falls to a third.
+        clearance_mm: smallest distance between the vehicle's centre and a wall.
     """
 
     states = (
@@ -71,18 +89,20 @@ class Mur(Physics):
     heading_noise_rad = 0.015
     resting_command = (0.0, 0.0, 3.0)
     memory_of_place = True
-    latent_draws = 256
+    latent_draws = 128
 
     setting_s = 0.06
-    servo_limit_rad_s = 8.0
-    linear_drag_per_s = (0.6, 1.5, 2.0)
-    side_drag_per_mm = 0.06
-    turn_drag_per_rad = 2.0
+    servo_limit_rad_s = 6.24
+    deflection = 1.64
+    wag = 0.05
+    stall_beat = 11.7
+    side_thrust = 1.5
+    recoil = 0.084
     rudder_per_mm2 = 0.00012
-    recoil = 0.12
-    deflection = 1.35
-    side_thrust = 0.35
-    eddies = (16.0, 12.0, 0.18)
+    linear_drag_per_s = (0.8, 14.5, 11.6)
+    side_drag_per_mm = 0.01
+    turn_drag_per_rad = 2.58
+    eddies = (26.0, 62.0, 1.4)
     wall_drag = 1.5
     wall_reach_mm = 60.0
     clearance_mm = 80.0
@@ -102,9 +122,12 @@ class Mur(Physics):
         """Advance the fin, then the velocities, then the pose (semi-implicit Euler)."""
         after = np.empty_like(state)
         fin_rad, fin_rad_s = self._move_fin(state, target, dt_s, after)
-        bend_rad_s = after[8] * (fin_rad - after[6])
-        jet = (target[3] * surroundings.grip) ** 2 * (fin_rad_s**2 + bend_rad_s**2) * 0.5
-        self._accelerate(state, jet, fin_rad, fin_rad_s, dt_s, after)
+        beat_rad = after[10] - after[6]
+        beat_rad_s = fin_rad_s - (after[6] - state[6]) / dt_s
+        beat = (beat_rad_s**2 + (after[8] * beat_rad) ** 2) * 0.5
+        jet = (target[3] * surroundings.grip) ** 2 * beat / (1.0 + beat * (1.0 / self.stall_beat))
+        jet_rad = self.deflection * (fin_rad - (1.0 - self.wag) * beat_rad)
+        self._accelerate(state, jet, jet_rad, beat_rad_s, dt_s, after)
         if noise is not None:
             kick = np.sqrt(dt_s) * self.conditions.noise_factor
             for index, size in enumerate(self.eddies):
@@ -141,18 +164,19 @@ class Mur(Physics):
         self,
         state: np.ndarray,
         jet: np.ndarray,
-        fin_rad: np.ndarray,
-        fin_rad_s: np.ndarray,
+        jet_rad: np.ndarray,
+        beat_rad_s: np.ndarray,
         dt_s: Any,
         after: np.ndarray,
     ) -> None:
         ahead, left, turn = state[3:6]
-        jet_rad = self.deflection * fin_rad
         cos, sin = np.cos(jet_rad), np.sin(jet_rad)
         water = self._near_walls(state)
         slow, side, spin = self.linear_drag_per_s
         thrust = self.unit.thrust * jet
-        moment = self.unit.yaw * jet * sin + self.rudder_per_mm2 * ahead * np.abs(ahead) * sin - self.recoil * fin_rad_s
+        moment = (
+            self.unit.yaw * jet * sin + self.rudder_per_mm2 * ahead * np.abs(ahead) * sin - self.recoil * beat_rad_s
+        )
         drag_ahead = (slow + self.unit.drag_per_mm * np.abs(ahead)) * water
         drag_left = (side + self.side_drag_per_mm * np.abs(left)) * water
         drag_turn = (spin + self.turn_drag_per_rad * np.abs(turn)) * water
@@ -185,7 +209,8 @@ class Mur(Physics):
 
     def guess(self, command: np.ndarray) -> np.ndarray:
         """Expect speed to grow with the fin's, and turning with its mean angle (..., 3), over 0.8 s."""
-        mean_rad, fin_rad_s = np.deg2rad(command[..., 0]), np.deg2rad(command[..., 1]) * command[..., 2]
-        forward_mm = 10.0 * fin_rad_s * np.cos(mean_rad)
-        turn_rad = 0.15 * fin_rad_s * np.sin(mean_rad)
+        jet_rad = self.deflection * np.deg2rad(command[..., 0])
+        beat_rad_s = np.minimum(np.deg2rad(command[..., 1]) * command[..., 2], self.servo_limit_rad_s)
+        forward_mm = 15.0 * beat_rad_s * np.cos(jet_rad)
+        turn_rad = 0.25 * beat_rad_s * np.sin(jet_rad)
         return np.stack([forward_mm, forward_mm * turn_rad / 2, turn_rad], axis=-1)

@@ -14,6 +14,7 @@ Manner = Literal["uniform", "gentle", "held", "waypoints"]
 MANNERS = get_args(Manner)
 
 CHOICES = 8
+COMMAND_DECIMALS = 1
 HELD_PERIODS = 4
 WAYPOINT_PERIODS = 12
 LOOK_AHEAD_PERIODS = 3
@@ -48,7 +49,7 @@ class Plan:
         if manner == "gentle":
             low, high = low + (high - low) / 4, high - (high - low) / 4
         share = streams.of("commands").random((run_count, step_count, vehicle_count, 1 + CHOICES, len(low)))
-        commands = low + (high - low) * share
+        commands = np.round(low + (high - low) * share, COMMAND_DECIMALS)
         wanted = commands[:, :, :, 0]
         if manner == "held":
             wanted = wanted[:, np.arange(step_count) // HELD_PERIODS * HELD_PERIODS]
@@ -58,7 +59,7 @@ class Plan:
         goal_mm = goal_mm[:, np.arange(step_count) // WAYPOINT_PERIODS * WAYPOINT_PERIODS]
         if manner != "waypoints" or drive is not None:
             goal_mm = np.broadcast_to((robot.arena_mm.low_mm + robot.arena_mm.high_mm) / 2, goal_mm.shape)
-        start = _starts(robot, run_count, vehicle_count, streams.of("starts"))
+        start = _starts(robot, run_count, vehicle_count, streams)
         return cls(start, wanted, commands[:, :, :, 1:], goal_mm, manner == "waypoints" and drive is None)
 
 
@@ -90,10 +91,10 @@ def _inside(robot: Robot, share: np.ndarray) -> np.ndarray:
     return low + margin_mm + (high - low - 2 * margin_mm) * share
 
 
-def _starts(robot: Robot, run_count: int, vehicle_count: int, rng: np.random.Generator) -> np.ndarray:
+def _starts(robot: Robot, run_count: int, vehicle_count: int, streams: Streams) -> np.ndarray:
     """Return start poses (R, V, 3): each vehicle, of eight random places, at the one farthest from those before it."""
-    places_mm = _inside(robot, rng.random((run_count, vehicle_count, CHOICES, 2)))
-    heading_rad = rng.uniform(-np.pi, np.pi, (run_count, vehicle_count, 1))
+    places_mm = _inside(robot, streams.of("start places").random((run_count, vehicle_count, CHOICES, 2)))
+    heading_rad = streams.of("start headings").uniform(-np.pi, np.pi, (run_count, vehicle_count, 1))
     chosen = places_mm[:, :1, 0]
     for vehicle in range(1, vehicle_count):
         apart_mm = np.linalg.norm(places_mm[:, vehicle, :, None] - chosen[:, None], axis=-1).min(axis=-1)

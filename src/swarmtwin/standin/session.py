@@ -1,7 +1,7 @@
 """A session: runs of one or more stand-in vehicles, driven and filmed, with what only the stand-in knows of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -100,6 +100,17 @@ class Footage:
     pose: np.ndarray
     active_command: np.ndarray
     state: np.ndarray
+
+    def first_runs(self, runs: int) -> "Footage":
+        """Return the footage of the first runs alone."""
+        return Footage(
+            replace(self.session, runs=runs, planned_runs=self.session.planned_runs or self.session.runs),
+            self.time_s[:runs],
+            self.command[:runs],
+            self.pose[:runs],
+            self.active_command[:, :runs],
+            self.state[:, :runs],
+        )
 
 
 def require_stand_in(robot: Robot) -> None:

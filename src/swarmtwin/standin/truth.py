@@ -1,6 +1,6 @@
 """The answer book: the exact mean displacement of every recorded row, for floors and model errors, and nothing else."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import pandas as pd
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between
 from swarmtwin.robot import DISPLACEMENT_COLUMNS
+from swarmtwin.standin.effect import Rng
 from swarmtwin.standin.latent import LatentBank, contexts
 from swarmtwin.standin.physics import Period, Physics, advance, others_in_run
 from swarmtwin.standin.session import Footage, film
@@ -20,8 +21,9 @@ TRUTH_FILE = "truth.parquet"
 LEVELS = ("situation", "everything")
 TRUTH_COLUMNS = tuple(f"{level}_{column}" for level in LEVELS for column in DISPLACEMENT_COLUMNS)
 
-BANK_ROWS = 65_536
+BANK_ROWS = 131_072
 CHUNK = 16_384
+NOISE_DRAWS = 32
 
 
 @dataclass(frozen=True)
@@ -80,13 +82,16 @@ def expected_given_everything(footage: Footage) -> np.ndarray:
     length of the period counts as known, since the recording shows it.
     """
     session = footage.session
+    rng = Streams(session.seed, "truth").of("everything")
     mean = np.empty((*footage.command.shape[:3], 3), np.float32)
     for index, vehicle in enumerate(session.vehicles):
         physics = session.physics([vehicle], np.float32)
-        expected = [
-            _expected(physics, rows, rows.state, rows.active_command)
-            for _, rows in Rows.of(footage, index).chunks(CHUNK)
-        ]
+        expected = []
+        for _, rows in Rows.of(footage, index).chunks(CHUNK // NOISE_DRAWS):
+            draws = (rows.state.shape[1], NOISE_DRAWS)
+            state = np.broadcast_to(rows.state, (len(rows.state), *draws))
+            previous_command = np.broadcast_to(rows.active_command, (len(rows.active_command), *draws))
+            expected.append(_expected(physics, rows, state, previous_command, rng))
         mean[:, :, index] = np.concatenate(expected).reshape(*mean.shape[:2], 3)
     return mean
 
@@ -119,14 +124,16 @@ def expected_given_situation(footage: Footage) -> np.ndarray:
             hidden = bank.hidden[:, drawn[part]]
             pose = np.broadcast_to(some.state[:3], (3, *hidden.shape[1:]))
             state = np.concatenate([pose, hidden])
-            expected.append(_expected(physics, some, state, bank.command[:, drawn[part]]))
+            expected.append(_expected(physics, some, state, bank.command[:, drawn[part]], rng))
         mean[:, :, index] = np.concatenate(expected).reshape(*mean.shape[:2], 3)
     return mean
 
 
-def _expected(physics: Physics, rows: Rows, state: np.ndarray, previous_command: np.ndarray) -> np.ndarray:
+def _expected(physics: Physics, rows: Rows, state: np.ndarray, previous_command: np.ndarray, rng: Rng) -> np.ndarray:
     """Return the expected displacements (N, 3) from states (states, N, draws), averaged over the draws.
 
+    Each draw moves with its own noise. Draws come in pairs, one with the noise and one with its opposite, so that only
+    what does not cancel is left: the little that noise changes of the mean.
     A lost command is averaged over exactly, by moving both ways. The camera's error of the heading at the start turns
     the measured displacement to and fro, which shortens its mean by exp(−σ²/2).
     """
@@ -136,34 +143,36 @@ def _expected(physics: Physics, rows: Rows, state: np.ndarray, previous_command:
     ways: list[tuple[float, np.ndarray]] = [(1.0 - loss, command)]
     if loss:
         ways.append((loss, previous_command))
+    half = rng.standard_normal((physics.substeps, physics.noises, 1, state.shape[-1] // 2), np.float32)
+    noise = np.stack([half, -half], axis=-1).reshape(*half.shape[:-1], -1)
     before = conditions.seen(np.moveaxis(state[:3], 0, -1))
     mean: Any = 0.0
     for weight, held in ways:
-        after = advance(physics, state, rows.period(held, previous_command))
+        after = advance(physics, state, rows.period(held, previous_command), noise)
         seen_after = conditions.seen(np.moveaxis(after[:3], 0, -1))
         mean = mean + weight * displacement_between(before, seen_after).mean(axis=1)
     shortened = np.exp(-(physics.heading_noise_rad**2) / 2)
     return mean * np.array([shortened, shortened, 1.0], np.float32)
 
 
-def write_truth(folder: Path, names: list[str], footage: Footage, time_s: np.ndarray) -> None:
-    """Write `truth.parquet` into a recording's folder: one row for each row of the recording that has a command.
+def answer_book(footage: Footage, run_names: Sequence[str]) -> pd.DataFrame:
+    """Return the answers as a table, one row for each row of the recording that has a command.
 
-    Args:
-        folder: the recording's folder.
-        names: names of the R runs.
-        footage: what was recorded.
-        time_s: (R, T + 1) as recorded, rounded alike.
+    Columns: run, vehicle, time_s, then `TRUTH_COLUMNS` in mm and rad. R · V · T rows, in order of run, vehicle, time.
     """
     run_count, step_count, vehicle_count = footage.command.shape[:3]
-    index = pd.MultiIndex.from_product([names, footage.session.vehicles, range(step_count)])
     expected = np.concatenate([expected_given_situation(footage), expected_given_everything(footage)], axis=-1)
-    by_vehicle = np.moveaxis(expected, 2, 1).reshape(-1, len(TRUTH_COLUMNS))
-    table = pd.DataFrame(by_vehicle, columns=list(TRUTH_COLUMNS))
-    table.insert(0, "run", index.get_level_values(0))
-    table.insert(1, "vehicle", index.get_level_values(1))
-    held = np.broadcast_to(time_s[:, None, :-1], (run_count, vehicle_count, step_count))
-    table.insert(2, "time_s", held.ravel())
+    answers = np.moveaxis(expected, 2, 1).reshape(-1, len(TRUTH_COLUMNS))
+    index = pd.MultiIndex.from_product([run_names, footage.session.vehicles, range(step_count)])
+    time_s = np.broadcast_to(footage.time_s[:, None, :-1], (run_count, vehicle_count, step_count))
+    table = pd.DataFrame(
+        {"run": index.get_level_values(0), "vehicle": index.get_level_values(1), "time_s": time_s.ravel()}
+    )
+    return table.join(pd.DataFrame(answers, columns=list(TRUTH_COLUMNS)))
+
+
+def write_truth(folder: Path, table: pd.DataFrame) -> None:
+    """Write an answer book into a recording's folder."""
     table.to_parquet(folder / TRUTH_FILE, index=False)
 
 

@@ -56,15 +56,16 @@ def _span(index: np.ndarray, value: int) -> slice:
 
 
 def _lands_on_another(rows: Rows, robot: Robot, start: int, end: int) -> bool:
-    """Whether a jump ends where, at its start, another vehicle of the run was, give or take one period's motion."""
+    """Whether a jump ends where another vehicle of the run can have been, judged by its pose at the jump's start."""
+    reach_mm = _reach_mm(robot) * max((rows.time_s[end] - rows.time_s[start]) / robot.period_s, 1.0)
     of_run = _span(rows.run, rows.run[start])
     for track in np.unique(rows.track[of_run]):
         other = _span(rows.track, track)
         after = other.start + int(np.searchsorted(rows.time_s[other], rows.time_s[start]))
         nearest = np.arange(max(after - 1, other.start), min(after + 1, other.stop))
         at_the_time = nearest[np.abs(rows.time_s[nearest] - rows.time_s[start]) <= robot.longest_gap_s]
-        distance_mm = np.linalg.norm(rows.pose[at_the_time, :2] - rows.pose[end, :2], axis=1)
-        if track != rows.track[start] and (distance_mm <= _reach_mm(robot)).any():
+        distance_mm = np.hypot(*(rows.pose[at_the_time, :2] - rows.pose[end, :2]).T)
+        if track != rows.track[start] and (distance_mm <= reach_mm).any():
             return True
     return False
 
@@ -94,7 +95,7 @@ def _comes_back(rows: Rows, robot: Robot, trusted: int, later: list[np.ndarray])
 def _reachable(rows: Rows, robot: Robot, start: int, end: int) -> bool:
     """Whether the pose of row `end` can have been reached from that of row `start` at a believable speed."""
     periods = max((rows.time_s[end] - rows.time_s[start]) / robot.period_s, 1.0)
-    distance_mm = np.linalg.norm(rows.pose[end, :2] - rows.pose[start, :2])
+    distance_mm = np.hypot(*(rows.pose[end, :2] - rows.pose[start, :2]))
     turn_rad = np.abs(wrap_angle(rows.pose[end, 2] - rows.pose[start, 2]))
     return bool(distance_mm <= _reach_mm(robot) * periods and turn_rad <= robot.displacement_limit[2] * periods)
 

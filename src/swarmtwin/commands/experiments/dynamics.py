@@ -4,7 +4,6 @@ Each model is measured on runs it has never seen, beside the noise floor, a plai
 """
 
 import json
-import math
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +12,18 @@ from typing import Literal
 
 import pandas as pd
 from rich.console import Console
-from rich.table import Table
 
-from swarmtwin.commands.evaluate import errors_text, tracked_figures
-from swarmtwin.commands.measurement import Errors, Measurement, load_simulation, measure
-from swarmtwin.dynamics import figures as plots
+from swarmtwin.commands.experiments.model_table import figure_columns, model_table
+from swarmtwin.commands.measurement import Measurement, load_simulation, measure
+from swarmtwin.dynamics.figures import comparison_figure, runs_figure
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder, write_text
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.tracking import tracked_run
+
+DRAWN = ("crnet", "fcnn")
 
 
 class Options(StrictModel):
@@ -32,9 +32,16 @@ class Options(StrictModel):
     name: Literal["dynamics"]
     robot: Robot
     models: Path
-    recordings: dict[str, Path]
+    train_vehicle: Path
+    other_vehicle: Path
+    open_loop: Path
     output: Path
     overwrite: bool
+
+    @property
+    def recordings(self) -> dict[str, Path]:
+        """The recordings to measure on, by what they are for."""
+        return {name: getattr(self, name) for name in ("train_vehicle", "other_vehicle", "open_loop")}
 
 
 @dataclass(frozen=True)
@@ -60,14 +67,14 @@ def run(options: Options) -> None:
         with new_folder(options.output, "experiment", settings, options.overwrite) as folder:
             entries = _entries(options)
             best = best_entry(entries)
-            _save(folder, entries, best)
+            _save(folder, entries, best, options.robot.arena_mm)
         for entry in entries:
             for recording, measurement in entry.measurements.items():
-                figures = tracked_figures(measurement.overall)
+                figures = measurement.overall.tracked()
                 tracked.metrics({f"{entry.name}/{recording}/{key}": value for key, value in figures.items()})
         tracked.tag("best_model", best.name)
         tracked.folder(options.output, "comparison")
-    Console().print(comparison_table(options.robot.title, pd.read_csv(options.output / "table.csv"), best.name))
+    Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv"), best.name))
 
 
 def best_entry(entries: Sequence[Entry]) -> Entry:
@@ -82,27 +89,8 @@ def best_entry(entries: Sequence[Entry]) -> Entry:
     return min(entries, key=score)
 
 
-def comparison_table(title: str, rows: pd.DataFrame, best: str) -> Table:
-    """Return what a person reads: a row for each model, the floor first; ± is the standard deviation over transitions."""
-    table = Table("model", "parameters", title=f"{title}: models trained on real data, errors on unseen runs")
-    for recording in rows.recording.unique():
-        table.add_column(f"{recording.replace('_', ' ')}\none-step")
-    table.add_column("model error", justify="right")
-    table.add_column("open loop\nRMSE", justify="right")
-    table.add_column("dead\nseeds", justify="right")
-    first = rows[rows.model == rows.model.iloc[0]]
-    table.add_row(f"floor ({first.floor_kind.iloc[0].replace('_', ' ')})", "", *first.floor, "", "", "", style="dim")
-    for model, part in rows.groupby("model", sort=False):
-        name = f"{model} *" if model == best else str(model)
-        last = part.iloc[-1]
-        model_error = "" if pd.isna(last.model_error) else last.model_error
-        dead = f"{last.dead_seeds} of {last.seeds}"
-        table.add_row(name, f"{last.parameters:,}", *part.one_step, model_error, last.open_loop, dead)
-    table.caption = "* best on the validation runs"
-    return table
-
-
 def _entries(options: Options) -> list[Entry]:
+    """Measure every model folder on every recording; the worst comes first, as in the paper's tables."""
     if not options.models.is_dir():
         raise UserError(f"no folder {options.models} with models: run `dvc repro` first")
     folders = sorted(folder for folder in options.models.iterdir() if (folder / "model.yaml").exists())
@@ -118,52 +106,33 @@ def _entries(options: Options) -> list[Entry]:
         }
         parameters = sum(weights.numel() for weights in dynamics.parameters())
         entries.append(Entry(folder.name, folder, parameters, provenance, measurements))
-    return sorted(entries, key=lambda entry: _one_step(entry), reverse=True)
+    return sorted(entries, key=_train_vehicle_position_mm, reverse=True)
 
 
-def _one_step(entry: Entry) -> float:
-    return next(iter(entry.measurements.values())).overall.one_step.position_mm.mean
+def _train_vehicle_position_mm(entry: Entry) -> float:
+    return entry.measurements["train_vehicle"].overall.one_step.position_mm
 
 
-def _save(folder: Path, entries: Sequence[Entry], best: Entry) -> None:
+def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> None:
     metrics = {e.name: {name: m.metrics() for name, m in e.measurements.items()} for e in entries}
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
     pd.DataFrame([row for entry in entries for row in _rows(entry)]).to_csv(folder / "table.csv", index=False)
     shutil.copytree(best.folder, folder / "best")
-    named = {entry.name: entry for entry in entries}
-    for name in dict.fromkeys([best.name, *({"crnet", "fcnn"} & named.keys())]):
-        last = list(named[name].measurements.values())[-1]
-        plots.runs(last.runs).savefig(folder / f"runs_{name}.png")
-    for recording in best.measurements:
+    for entry in entries:
+        if entry.name in DRAWN or entry is best:
+            runs_figure(entry.measurements["open_loop"].runs, arena).savefig(folder / f"runs_{entry.name}.png")
+    for recording in ("train_vehicle", "other_vehicle"):
         one_step = {entry.name: entry.measurements[recording].overall.one_step for entry in entries}
-        floor = best.measurements[recording].overall.floor
-        plots.error_bars(one_step, floor).savefig(folder / f"errors_{recording}.png")
+        overall = best.measurements[recording].overall
+        figure = comparison_figure(one_step, overall.floor, overall.floor_kind != "exact")
+        figure.savefig(folder / f"errors_{recording}.png")
 
 
 def _rows(entry: Entry) -> list[dict[str, object]]:
+    about = {"model": entry.name, "parameters": entry.parameters}
     dead = sum(outcome.dead is not None for outcome in entry.provenance.seeds)
+    seeds = {"dead_seeds": dead, "seeds": len(entry.provenance.seeds)}
     return [
-        {
-            "model": entry.name,
-            "parameters": entry.parameters,
-            "recording": name,
-            "one_step": errors_text(measurement.overall.one_step),
-            "floor": errors_text(measurement.overall.floor),
-            "floor_kind": measurement.overall.floor.kind,
-            "position_over_floor": _ratio(measurement.overall.one_step, measurement.overall.floor),
-            "model_error": errors_text(measurement.overall.model_error) if measurement.overall.model_error else None,
-            "open_loop": _loop_text(measurement),
-            "dead_seeds": dead,
-            "seeds": len(entry.provenance.seeds),
-        }
+        {**about, "recording": name, **figure_columns(measurement.overall), **seeds}
         for name, measurement in entry.measurements.items()
     ]
-
-
-def _ratio(errors: Errors, floor: Errors) -> float:
-    return round(errors.position_mm.mean / floor.position_mm.mean, 4) if floor.position_mm.mean else math.nan
-
-
-def _loop_text(measurement: Measurement) -> str:
-    loop = measurement.overall.open_loop_mm
-    return f"{loop.mean:.0f} ± {loop.sd:.0f} mm" if loop else ""

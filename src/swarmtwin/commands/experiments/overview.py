@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin import registry
-from swarmtwin.commands.experiments.dynamics import comparison_table
+from swarmtwin.commands.experiments.model_table import ModelRow, model_rows, model_table
 from swarmtwin.dynamics.store import read_description
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
@@ -33,10 +33,15 @@ class Chapter(NamedTuple):
 
     robot: Robot
     preparation: Preparation
-    rows: pd.DataFrame
+    table: pd.DataFrame
     best: str
     champion: registry.Version | None
     pictures: dict[str, Path]
+
+    @property
+    def rows(self) -> list[ModelRow]:
+        """The models as a person reads them, the floor first."""
+        return model_rows(self.table)
 
 
 PICTURES = {
@@ -58,7 +63,7 @@ def run(options: Options) -> None:
     console = Console()
     console.print(_recordings_table(chapters))
     for chapter in chapters:
-        console.print(comparison_table(chapter.robot.title, chapter.rows, chapter.best))
+        console.print(model_table(chapter.robot.title, chapter.table, chapter.best))
     console.print(_registry_table(chapters))
     console.print(f"the same with pictures: {options.output / 'overview.html'}", highlight=False)
     console.print("every run, to compare: make ui", highlight=False)
@@ -72,7 +77,7 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     return Chapter(
         robot=best.robot,
         preparation=load_preparation(artifacts / "transitions" / robot_name),
-        rows=pd.read_csv(comparison / "table.csv", keep_default_na=True),
+        table=pd.read_csv(comparison / "table.csv"),
         best=best.model["name"],
         champion=registry.champion(f"{robot_name}-dynamics"),
         pictures={name: comparison / f"{name}.png" for name in PICTURES if (comparison / f"{name}.png").exists()},

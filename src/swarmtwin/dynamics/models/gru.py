@@ -14,7 +14,7 @@ class Config(ModelConfig):
     """`conf/model/gru.yaml`.
 
     The published sizes do not give the 73,626 parameters that the paper states, and a GRU of hidden size 1 cannot
-    carry both position and angle. Ours has the LSTM's sizes: 55,139 parameters for every robot.
+    carry both position and angle. Ours has the LSTM's sizes: 54,979 parameters for every robot.
     """
 
     scaling: ClassVar[ScalingMethod] = "unit_range"

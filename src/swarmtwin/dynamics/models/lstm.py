@@ -14,7 +14,7 @@ class Config(ModelConfig):
     """`conf/model/lstm.yaml`.
 
     The published sizes do not give the 73,879 parameters that the paper states. Ours are chosen near it: hidden size
-    96 and layers of 160 and 64, 64,739 parameters for every robot, since only the last hidden state goes on.
+    96 and layers of 160 and 64, 64,483 parameters for every robot, since only the last hidden state goes on.
     """
 
     scaling: ClassVar[ScalingMethod] = "unit_range"

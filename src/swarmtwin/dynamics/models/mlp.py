@@ -17,7 +17,7 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "standard"
 
     name: Literal["mlp"] = "mlp"
-    learning_rate: float = 0.005
+    learning_rate: float = 0.01
     steps: int = 1000
     layers: Annotated[tuple[int, ...], Field(min_length=1)] = (128, 128)
 

@@ -1,0 +1,90 @@
+"""A robot's models side by side: the columns of table.csv, and what a person reads of them."""
+
+from typing import Any, NamedTuple
+
+import pandas as pd
+from rich import box
+from rich.table import Table
+
+from swarmtwin.commands.measurement import Figures
+
+
+class ModelRow(NamedTuple):
+    """One model as a person reads it; each figure is mean ± standard deviation, the first line in mm, the second in degrees."""
+
+    model: str
+    parameters: str
+    train_vehicle: list[str]
+    other_vehicle: list[str]
+    model_error: list[str]
+    open_loop: str
+    dead_seeds: str
+
+
+def figure_columns(figures: Figures) -> dict[str, Any]:
+    """Return figures as columns of table.csv, units in their names."""
+    columns: dict[str, Any] = {"transitions": figures.one_step.transitions}
+    for name, figure in (
+        ("one_step", figures.one_step),
+        ("floor", figures.floor),
+        ("model_error", figures.model_error),
+    ):
+        for field in ("position_mm", "position_sd_mm", "orientation_deg", "orientation_sd_deg"):
+            columns[f"{name}_{field}"] = round(getattr(figure, field), 4) if figure else None
+    loop = figures.open_loop
+    columns |= {"open_loop_mm": round(loop.rmse_mm, 2), "open_loop_sd_mm": round(loop.rmse_sd_mm, 2)} if loop else {}
+    return {**columns, "floor_kind": figures.floor_kind}
+
+
+def model_rows(table: pd.DataFrame) -> list[ModelRow]:
+    """Return the floor and then each model of table.csv, in its order."""
+    models = list(table.model.unique())
+    first = table[table.model == models[0]].set_index("recording")
+    kind = str(first.floor_kind.iloc[0]).replace("_", " ")
+    floor = [_errors(first.loc[name], "floor") for name in ("train_vehicle", "other_vehicle")]
+    rows = [ModelRow(f"floor ({kind})", "", floor[0], floor[1], [], "", "")]
+    for model in models:
+        part = table[table.model == model].set_index("recording")
+        train, other, loop = (part.loc[name] for name in ("train_vehicle", "other_vehicle", "open_loop"))
+        rows.append(
+            ModelRow(
+                model=model,
+                parameters=f"{train.parameters:,}",
+                train_vehicle=_errors(train, "one_step"),
+                other_vehicle=_errors(other, "one_step"),
+                model_error=_errors(train, "model_error"),
+                open_loop=f"{loop.open_loop_mm:.0f} ± {loop.open_loop_sd_mm:.0f}",
+                dead_seeds=f"{train.dead_seeds} of {train.seeds}",
+            )
+        )
+    return rows
+
+
+def model_table(title: str, table: pd.DataFrame, best: str) -> Table:
+    """Return the terminal's table: the floor, then a row for each model."""
+    shown = Table(
+        box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False, title=f"{title}: errors on runs the models have not seen"
+    )
+    shown.add_column("model")
+    for heading in (
+        "para-\nmeters",
+        "train vehicle",
+        "other vehicle",
+        "model error\n(train)",
+        "open loop",
+        "dead\nseeds",
+    ):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    for row in model_rows(table):
+        cells = ["\n".join(cell) if isinstance(cell, list) else cell for cell in row[1:]]
+        name = f"{row.model} *" if row.model == best else row.model
+        shown.add_row(name, *cells, style="dim" if row.model.startswith("floor") else None)
+    shown.caption = "mean ± standard deviation; first line position, second orientation; * best on the validation runs"
+    return shown
+
+
+def _errors(row: pd.Series, name: str) -> list[str]:
+    if pd.isna(row[f"{name}_position_mm"]):
+        return []
+    position = f"{row[f'{name}_position_mm']:.2f} ± {row[f'{name}_position_sd_mm']:.2f}"
+    return [position, f"{row[f'{name}_orientation_deg']:.2f} ± {row[f'{name}_orientation_sd_deg']:.2f}"]

@@ -1,0 +1,119 @@
+"""`swarmtwin prepare` leaves transitions, scaling and counts, the same every time, or nothing at all."""
+
+import json
+
+import numpy as np
+import pytest
+
+from drives import drive, write_drive
+from swarmtwin.commands import prepare
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.transitions import SPLITS, from_recording, load_preparation, load_transitions
+
+
+@pytest.fixture
+def recording(robots, tmp_path):
+    """Twenty runs of ten transitions, with a pose lost, a command lost and a row twice in the first."""
+    folder = write_drive(tmp_path / "monday", robots["mgr"], drive(robots["mgr"], runs=20, vehicles=("1",)))
+    file = folder / "runs" / "run_00000.csv"
+    rows = [line.split(",") for line in file.read_text().splitlines()]
+    rows[3][2:4] = ["", ""]
+    rows[6][4:7] = ["", "", ""]
+    rows.insert(8, rows[7])
+    file.write_text("".join(",".join(row) + "\n" for row in rows))
+    return folder
+
+
+@pytest.fixture
+def options(robots, recording, tmp_path):
+    def with_changes(**changes):
+        chosen = {
+            "robot": robots["mgr"].model_dump(),
+            "recording": str(recording),
+            "fractions": {"train": 0.85, "validation": 0.05, "test": 0.10},
+            "seed": 1,
+            "output": str(tmp_path / "prepared"),
+            "overwrite": False,
+        }
+        return prepare.Options.parse(chosen | changes, "swarmtwin prepare")
+
+    return with_changes
+
+
+def test_the_folder_holds_what_the_recording_gives(robots, recording, options, tmp_path):
+    prepare.run(options())
+    found = load_transitions(tmp_path / "prepared")
+    expected, counts = from_recording(read_recording(recording, robots["mgr"]))
+    np.testing.assert_array_equal(found.displacement, expected.displacement)
+    np.testing.assert_array_equal(found.previous_command, expected.previous_command)
+    preparation = load_preparation(tmp_path / "prepared")
+    assert preparation.counts.dropped == counts.dropped == {"no_command": 1, "no_pose": 2}
+    assert preparation.counts.dropped_rows == {"duplicate_row": 1}
+    assert [len(preparation.runs[split]) for split in SPLITS] == [17, 1, 2]
+    assert preparation.recording == "monday"
+
+
+def test_preparing_twice_gives_the_same_bytes(options, tmp_path):
+    prepare.run(options())
+    prepare.run(options(output=str(tmp_path / "again")))
+    for name in ("transitions.parquet", "preparation.json", "scaling.json"):
+        assert (tmp_path / "prepared" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_nothing_but_the_provenance_knows_where_the_recording_lay(recording, options, tmp_path):
+    prepare.run(options())
+    moved = recording.rename(tmp_path / "deeper").rename(tmp_path / "monday")
+    prepare.run(options(recording=str(moved), output=str(tmp_path / "again")))
+    for name in ("transitions.parquet", "preparation.json", "scaling.json"):
+        content = (tmp_path / "prepared" / name).read_bytes()
+        assert str(tmp_path).encode() not in content
+        assert content == (tmp_path / "again" / name).read_bytes()
+
+
+def test_the_tables_say_what_was_kept_and_dropped_and_why(options, capsys):
+    prepare.run(options())
+    shown = capsys.readouterr().out
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in shown.splitlines() if line.startswith("│")]
+    assert rows == [
+        ["rows read", "220", ""],
+        ["duplicate_row", "1", "a row that repeats the one before it is left out"],
+        ["pairs of rows", "200", ""],
+        ["no_command", "1", "no command at the start"],
+        ["no_pose", "2", "no pose at the start or at the end"],
+        ["transitions kept", "197", "98.50%"],
+        ["train", "17", "167", "84.8%"],
+        ["validation", "1", "10", "5.1%"],
+        ["test", "2", "20", "10.2%"],
+    ]
+
+
+def test_too_few_runs_leave_nothing_behind(robots, options, tmp_path):
+    short = write_drive(tmp_path / "short", robots["mgr"], drive(robots["mgr"], runs=2))
+    with pytest.raises(UserError, match=r"^2 runs with transitions cannot be split .*: record at least 3 runs"):
+        prepare.run(options(recording=str(short)))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["monday", "short"]
+
+
+def test_the_recording_is_never_overwritten(recording, options, tmp_path):
+    for output in (recording, tmp_path):
+        with pytest.raises(UserError) as refused:
+            prepare.run(options(output=str(output), overwrite=True))
+        assert str(refused.value) == f"output {output} would replace the recording: choose another folder"
+    assert (recording / "recording.yaml").exists()
+
+
+def test_preparing_again_replaces_only_what_was_prepared(options, tmp_path):
+    prepare.run(options())
+    with pytest.raises(UserError, match="already holds something"):
+        prepare.run(options(seed=2))
+    prepare.run(options(seed=2, overwrite=True))
+    assert load_preparation(tmp_path / "prepared").seed == 2
+    assert json.loads((tmp_path / "prepared" / "provenance.json").read_text())["command"] == "prepare"
+
+
+def test_unknown_and_wrong_options_are_refused(options):
+    with pytest.raises(UserError, match=r"swarmtwin prepare: unknown field 'sead': did you mean 'seed'\?"):
+        options(sead=1)
+    with pytest.raises(UserError, match=r"must sum to 1, not 0\.9"):
+        options(fractions={"train": 0.8, "validation": 0.0, "test": 0.1})

@@ -1,0 +1,154 @@
+import numpy as np
+import pytest
+import torch
+import yaml
+from torch import nn
+from toy import CONF, toy_transitions
+
+from swarmtwin.dynamics.base import Dynamics
+from swarmtwin.dynamics.models.crnet import CRNet
+from swarmtwin.dynamics.registry import config_class, model_config, model_names
+from swarmtwin.dynamics.training_data import training_data
+from swarmtwin.errors import UserError
+
+ROBOTS = sorted(path.stem for path in (CONF / "robot").glob("*.yaml"))
+
+
+def arbitrary_mean(command):
+    scaled = command / np.abs(command).max(axis=0)
+    return np.column_stack([20 * scaled[:, 0], 5 * scaled[:, 1], 0.3 * scaled[:, -1]])
+
+
+def dynamics_with_data(robot, name, count=600):
+    transitions = toy_transitions(robot, count, noise=(2, 2, 0.05), mean=arbitrary_mean)
+    torch.manual_seed(0)
+    dynamics = Dynamics(robot, config_class(name)())
+    data = training_data(transitions, dynamics.parts)
+    dynamics.learn_scaling(*data.train)
+    return dynamics, data
+
+
+def test_files_configurations_and_registry_agree():
+    shipped = {path.stem for path in (CONF / "model").glob("*.yaml")}
+    assert shipped == set(model_names())
+    assert all(config_class(name).model_fields["name"].default == name for name in model_names())
+
+
+@pytest.mark.parametrize("name", model_names())
+def test_yaml_and_python_give_the_same_configuration(name):
+    path = CONF / "model" / f"{name}.yaml"
+    content = yaml.safe_load(path.read_text())
+    assert model_config(content, str(path)) == config_class(name)()
+    assert set(content) == set(config_class(name).model_fields)
+
+
+def test_an_unknown_model_is_refused_with_the_near_miss():
+    with pytest.raises(UserError) as error:
+        config_class("crnett")
+    assert str(error.value) == (
+        "no such dynamics model: 'crnett': did you mean 'crnet'? known: cnn, crnet, fcnn, gru, kinematic, lstm, mlp"
+    )
+
+
+def test_an_unknown_field_is_refused_with_the_near_miss():
+    with pytest.raises(UserError, match=r"^x: unknown field 'dropuot': did you mean 'dropout'\?"):
+        model_config({"name": "crnet", "dropuot": 0.2}, "x")
+
+
+def test_a_configuration_without_a_name_is_refused():
+    with pytest.raises(UserError, match=r"^x: field 'name' is missing: it says which model; known: cnn, "):
+        model_config({"dropout": 0.2}, "x")
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("crnet", 95_511), ("fcnn", 126_019), ("cnn", 59_275), ("lstm", 64_483), ("gru", 54_979)]
+)
+def test_parameter_counts_are_the_published_ones(robots, name, parameters):
+    dynamics = Dynamics(robots["mgr"], config_class(name)())
+    assert sum(parameter.numel() for parameter in dynamics.parameters()) == parameters
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("name", model_names())
+def test_the_loss_reaches_every_parameter(robots, name, robot):
+    dynamics, data = dynamics_with_data(robots[robot], name)
+    with torch.no_grad():
+        for parameter in dynamics.parameters():  # away from symmetric beginnings
+            parameter += 0.05 * torch.randn_like(parameter)
+    sum(dynamics.errors(data.train)).backward()
+    assert not [name for name, parameter in dynamics.named_parameters() if not parameter.grad.abs().max() > 0]
+    assert all(parameter.grad.isfinite().all() for parameter in dynamics.parameters())
+
+
+@pytest.mark.parametrize("name", ["crnet", "cnn", "lstm", "gru"])
+def test_outputs_stay_within_the_range_of_the_training_data(robots, name):
+    dynamics, (_, (situation, displacement), _) = dynamics_with_data(robots["mgr"], name)
+    low, high = displacement.min(dim=0).values, displacement.max(dim=0).values
+    predicted = dynamics.eval()(situation)
+    assert (predicted >= low).all()
+    assert (predicted <= high).all()
+
+
+class PlainConvolutions(nn.Module):
+    """CR-Net's convolutions and LSTM as published, of torch's own layers on (batch, channels, length)."""
+
+    def __init__(self, network):
+        super().__init__()
+        first, second = network.convolutions
+        self.layers = nn.Sequential(
+            nn.Conv1d(1, 8, 1, padding=1),
+            nn.BatchNorm1d(8),
+            nn.LeakyReLU(0.01),
+            nn.Conv1d(8, 64, 1, padding=1),
+            nn.BatchNorm1d(64),
+            nn.LeakyReLU(0.01),
+        )
+        for convolution, ours in ((self.layers[0], first), (self.layers[3], second)):
+            convolution.weight = nn.Parameter(ours.convolution.weight.detach().clone()[..., None])
+            convolution.bias = nn.Parameter(ours.convolution.bias.detach().clone())
+        self.lstm = nn.LSTM(network.lstm.input_size, 5, batch_first=True)
+        self.lstm.load_state_dict(network.lstm.state_dict())
+
+    def forward(self, values):
+        return self.lstm(self.layers(values[:, None]))[0].flatten(1)
+
+
+@pytest.mark.parametrize("inputs", [2, 6])
+def test_crnet_computes_what_the_plain_published_layers_compute(inputs):
+    torch.manual_seed(0)
+    network = CRNet(inputs, dropout=0.0).double()
+    plain = PlainConvolutions(network).double()
+    values = torch.rand(64, inputs, dtype=torch.float64)
+
+    def ours(values):
+        return network.lstm(network.convolutions(values[None]))[0].transpose(0, 1).flatten(1)
+
+    for _ in range(3):
+        torch.testing.assert_close(ours(values), plain(values))
+    ours(values).square().sum().backward()
+    plain(values).square().sum().backward()
+    torch.testing.assert_close(network.convolutions[0].convolution.weight.grad, plain.layers[0].weight.grad[..., 0])
+    network.eval()
+    plain.eval()
+    torch.testing.assert_close(ours(values), plain(values))
+
+
+def test_crnet_has_the_published_skips():
+    torch.manual_seed(0)
+    network = CRNet(2, dropout=0.0).eval()
+    seen = {}
+    for number, layer in enumerate(network.layers, start=1):
+        layer.register_forward_hook(
+            lambda _, given, returned, number=number: seen.update({number: (given[0], returned)})
+        )
+    network(torch.rand(8, 2))
+    torch.testing.assert_close(seen[6][0], seen[5][1] + seen[3][1])
+    torch.testing.assert_close(seen[7][0], seen[6][1] + seen[2][1])
+
+
+def test_a_model_looks_at_nothing_but_the_parts_it_asks_for(robots):
+    dynamics, (_, (situation, _), _) = dynamics_with_data(robots["mgr"], "mlp")
+    alone = situation.only(("command",))
+    assert torch.equal(dynamics(alone), dynamics(situation))
+    with pytest.raises(ValueError, match="the situation has no pose: give it one"):
+        alone.only(("command", "pose"))

@@ -1,0 +1,236 @@
+import dataclasses
+import signal
+
+import numpy as np
+import pytest
+import torch
+from toy import CONF, exact_displacement, recipe, toy_transitions
+
+from swarmtwin.dynamics.batches import ShuffledBatches
+from swarmtwin.dynamics.evaluation import model_error, predict
+from swarmtwin.dynamics.liveness import dead_outputs
+from swarmtwin.dynamics.registry import config_class, model_names
+from swarmtwin.dynamics.situation import Situation
+from swarmtwin.dynamics.training import train
+from swarmtwin.errors import UserError
+
+ROBOTS = sorted(path.stem for path in (CONF / "robot").glob("*.yaml"))
+NOISE = (1.0, 1.0, 0.03)
+
+
+@pytest.fixture(scope="module")
+def transitions(robots):
+    return toy_transitions(robots["mgr"], 2000, noise=NOISE)
+
+
+def config(name="mlp", **changes):
+    return config_class(name)(**changes)
+
+
+def gate_error(transitions, name, **changes):
+    """Mean distance in mm from the exact mean on unseen commands, as a share of what the best constant has."""
+    dynamics = train(transitions, config(name, **changes), recipe(batch_size=128), seeds=[0]).dynamics
+    unseen = toy_transitions(transitions.robot, 1000, seed=99)
+    constant = np.linalg.norm(unseen.displacement[:, :2] - unseen.displacement[:, :2].mean(axis=0), axis=1).mean()
+    return model_error(dynamics, unseen, exact_displacement(unseen.command)).position_mm / constant
+
+
+@pytest.mark.parametrize("name", ["mlp", "crnet", "kinematic"])
+def test_a_working_learner_learns_the_toy(transitions, name):
+    assert gate_error(transitions, name, steps=300) < 0.15
+
+
+def test_a_broken_learner_does_not(transitions):
+    shuffled = np.random.default_rng(0).permutation(transitions.displacement)
+    assert gate_error(dataclasses.replace(transitions, displacement=shuffled), "mlp", steps=300) > 0.8
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_gives_others(transitions):
+    first, second = (train(transitions, config("crnet", steps=20), recipe(batch_size=256), [3]) for _ in range(2))
+    other = train(transitions, config("crnet", steps=20), recipe(batch_size=256), [4])
+    assert first.best.history == second.best.history
+    assert all(np.array_equal(first.best.weights[name], second.best.weights[name]) for name in first.best.weights)
+    assert first.best.history != other.best.history
+
+
+def test_training_leaves_the_callers_random_numbers_and_threads_alone(transitions):
+    torch.manual_seed(5)
+    expected = torch.rand(3)
+    torch.manual_seed(5)
+    threads = torch.get_num_threads()
+    train(transitions, config(steps=5), recipe(), [0])
+    assert torch.equal(torch.rand(3), expected)
+    assert torch.get_num_threads() == threads
+
+
+class InterruptAfter:
+    """Stands for Ctrl-C in the middle of training."""
+
+    def __init__(self, epoch):
+        self.epoch = epoch
+        self.seen = []
+
+    def __call__(self, seed, number, epoch):
+        self.seen.append(number)
+        if number == self.epoch:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("schedule", ["fast", "paper"])
+def test_interrupted_and_continued_equals_uninterrupted_bit_for_bit(transitions, tmp_path, schedule):
+    chosen = recipe(schedule, batch_size=256, epochs=6)
+    whole = train(transitions, config("crnet"), chosen, [1]).best
+    handler = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        train(transitions, config("crnet"), chosen, [1], checkpoints=tmp_path, report=InterruptAfter(3))
+    assert signal.getsignal(signal.SIGINT) is handler
+    later = InterruptAfter(None)
+    continued = train(transitions, config("crnet"), chosen, [1], checkpoints=tmp_path, report=later).best
+    assert later.seen == [4, 5, 6]
+    assert continued.history == whole.history
+    assert continued.best == whole.best
+    assert all(np.array_equal(continued.weights[name], whole.weights[name]) for name in whole.weights)
+
+
+def test_a_finished_training_is_not_repeated(transitions, tmp_path):
+    first = train(transitions, config(steps=20), recipe(), [1], checkpoints=tmp_path)
+    again = train(transitions, config(steps=20), recipe(), [1], checkpoints=tmp_path, report=InterruptAfter(1))
+    assert again.best.history == first.best.history
+
+
+@pytest.mark.parametrize("spoil", ["truncate", "other_training"])
+def test_a_checkpoint_that_cannot_be_used_is_started_over(transitions, tmp_path, caplog, spoil):
+    expected = train(transitions, config(steps=20), recipe(), [1], checkpoints=tmp_path)
+    file = tmp_path / "seed-1.ckpt"
+    if spoil == "truncate":
+        file.write_bytes(file.read_bytes()[:500])
+    else:
+        train(transitions, config(steps=20, learning_rate=0.1), recipe(), [1], checkpoints=tmp_path)
+    again = train(transitions, config(steps=20), recipe(), [1], checkpoints=tmp_path)
+    assert again.best.history == expected.best.history
+    assert "seed 1 starts anew: checkpoint" in caplog.text
+
+
+def test_seeds_in_processes_give_the_numbers_of_seeds_in_turn(transitions):
+    reported = []
+    settings = transitions, config(steps=20), recipe(), [0, 1]
+    in_turn = train(*settings, processes=1)
+    parallel = train(*settings, processes=2, report=lambda seed, number, epoch: reported.append((seed, number, epoch)))
+    assert [result.history for result in parallel.results] == [result.history for result in in_turn.results]
+    assert parallel.seed == in_turn.seed
+    expected = [
+        (result.seed, n, epoch) for result in in_turn.results for n, epoch in enumerate(result.history, start=1)
+    ]
+    assert sorted(reported) == sorted(expected)
+
+
+def test_the_best_live_seed_is_the_model(transitions):
+    trained = train(transitions, config(steps=20), recipe(), [0, 1, 2], processes=1)
+    assert trained.best.validation_loss == min(result.validation_loss for result in trained.results)
+    kept = trained.best.history[trained.best.best - 1]
+    validation = transitions.part("validation")
+    position_mm = np.linalg.norm((predict(trained.dynamics, validation) - validation.displacement)[:, :2], axis=1)
+    assert position_mm.mean() == pytest.approx(kept.validation_position_mm, rel=1e-4)
+
+
+def test_a_seed_whose_errors_are_not_finite_is_dead(transitions):
+    with pytest.raises(UserError) as error:
+        train(transitions, config("kinematic", learning_rate=1e6), recipe(epochs=3), [0])
+    assert str(error.value) == (
+        "kinematic: every seed is dead (seed 0: the errors were no longer finite in epoch 1): "
+        "try other seeds, a lower learning rate, or another model"
+    )
+
+
+def test_a_published_net_whose_final_relu_died_is_flagged(transitions):
+    with pytest.raises(UserError, match=r"^fcnn: every seed is dead \(seed 0: constant output: .*forward_mm"):
+        train(transitions, config("fcnn", learning_rate=3.0, steps=60), recipe(), [0])
+
+
+def test_dead_outputs_are_those_that_could_vary_and_do_not():
+    random = np.random.default_rng(0)
+    inputs = random.uniform(-1, 1, (1000, 2))
+    noise = random.normal(0, 1, 1000)
+    measured = np.column_stack([10 * inputs[:, 0], noise, inputs[:, 1] + 0.1 * noise])
+    live = np.column_stack([9 * inputs[:, 0], np.zeros(1000), inputs[:, 1]])
+    dead = np.column_stack([9 * inputs[:, 0], np.zeros(1000), np.full(1000, 0.2)])
+    assert dead_outputs(live, measured, inputs) == []
+    assert dead_outputs(dead, measured, inputs) == ["turn_rad"]
+
+
+@pytest.mark.parametrize("part", ["command", "displacement"])
+def test_values_that_are_not_finite_never_reach_a_net(transitions, part):
+    values = getattr(transitions, part).copy()
+    values[7, 1] = np.nan
+    name = "command" if part == "command" else "left_mm"
+    with pytest.raises(UserError) as error:
+        train(dataclasses.replace(transitions, **{part: values}), config(), recipe(), [0])
+    assert str(error.value) == f"{name} is not finite in 1 of 2000 transitions: prepare the recording anew"
+
+
+def test_an_empty_split_is_refused(transitions):
+    with pytest.raises(UserError) as error:
+        train(dataclasses.replace(transitions, split=np.zeros(2000, int)), config(), recipe(), [0])
+    assert str(error.value) == "the validation split has 0 transitions: record more runs, or split them otherwise"
+
+
+def test_scalings_are_learned_from_the_training_split_alone(transitions):
+    changed = transitions.displacement.copy()
+    changed[transitions.split != 0] *= 3
+    settings = config(steps=10), recipe(), [0]
+    weights = train(transitions, *settings).best.weights
+    others = train(dataclasses.replace(transitions, displacement=changed), *settings).best.weights
+    assert np.array_equal(weights["output_scaling.scale"], others["output_scaling.scale"])
+    assert np.array_equal(weights["output_scaling.offset"], others["output_scaling.offset"])
+
+
+def test_predictions_do_not_depend_on_the_unit_of_the_command(transitions):
+    columns = {
+        name: column.model_copy(update={"low": 10 * column.low, "high": 10 * column.high})
+        for name, column in transitions.robot.command.items()
+    }
+    robot = transitions.robot.model_copy(update={"command": columns})
+    tenfold = dataclasses.replace(transitions, robot=robot, command=10 * transitions.command)
+    settings = config(steps=20), recipe(), [0]
+    one, ten = (predict(train(data, *settings).dynamics, data) for data in (transitions, tenfold))
+    np.testing.assert_allclose(one, ten, atol=1e-3)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("name", model_names())
+def test_every_shipped_model_trains_a_batch_on_every_robot(robots, name, robot):
+    def mean(command):
+        return np.column_stack([command[:, 0] * 0.1, command[:, 1] * 0.01, command[:, -1] * 0.002])
+
+    data = toy_transitions(robots[robot], 320, noise=NOISE, mean=mean, steps=32)
+    trained = train(data, config(name), recipe(epochs=1, batch_size=192), [0])
+    assert np.isfinite(predict(trained.dynamics, data)).all()
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (CONF / "recipe").glob("*.yaml")))
+def test_every_shipped_recipe_trains(transitions, name):
+    few = toy_transitions(transitions.robot, 1000, noise=NOISE)
+    chosen = recipe(name)
+    assert chosen.name == name
+    trained = train(few, config(), chosen.model_copy(update={"epochs": 2}), [0])
+    assert len(trained.best.history) == 2
+
+
+def test_a_recipe_fills_in_what_it_leaves_open():
+    open_recipe, own = recipe("fast", batch_size=100), config("crnet", learning_rate=0.03, steps=95)
+    filled = open_recipe.for_model(own, 1000)
+    assert (filled.learning_rate, filled.epochs) == (0.03, 10)
+    stated = recipe("paper").for_model(own, 1000)
+    assert (stated.learning_rate, stated.epochs) == (0.005138, 40)
+
+
+def test_an_epoch_gives_out_each_transition_once_in_an_order_of_its_own():
+    situation = Situation(command=torch.arange(100.0)[:, None])
+    batches = ShuffledBatches(situation, torch.zeros(100, 3), size=25, seed=1)
+    orders = []
+    for epoch in (0, 1, 0):
+        batches.epoch = epoch
+        orders.append(torch.cat([part.command[:, 0] for part, _ in batches]).tolist())
+    assert sorted(orders[0]) == list(range(100))
+    assert orders[0] != orders[1]
+    assert orders[0] == orders[2]

@@ -1,0 +1,162 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import displacement_between, orientation_error_rad, position_error_mm
+from swarmtwin.standin import truth
+from swarmtwin.standin.operator import HELD_PERIODS
+from swarmtwin.standin.session import PAUSE_S, Session, film, require_stand_in
+
+STANDARD = ("command", "time_s", "pose", "state")
+
+
+def displacements(footage):
+    return displacement_between(footage.pose[:, :-1], footage.pose[:, 1:])
+
+
+@pytest.fixture(scope="module", params=["mgr", "mur"])
+def session(request, robots):
+    return Session(robots[request.param], ("1",), runs=12, steps=10, seed=5, lost_poses=0.05)
+
+
+@pytest.fixture(scope="module")
+def footage(robots):
+    """A moderate session of each robot."""
+    return {name: film(Session(robots[name], ("1",), 150, 40, 3)) for name in ("mgr", "mur")}
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(session):
+    first, again, other = film(session), film(session), film(replace(session, seed=6))
+    for name in STANDARD:
+        assert getattr(first, name).tobytes() == getattr(again, name).tobytes()
+    for name in ("command", "pose", "state"):
+        assert not np.array_equal(getattr(first, name), getattr(other, name))
+
+
+def test_fewer_runs_are_the_first_of_more_runs(session):
+    few, many = film(replace(session, runs=5, planned_runs=12)), film(session)
+    for name in ("command", "time_s", "pose"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(many, name)[:5])
+
+
+def test_runs_follow_each_other_with_a_pause(session):
+    time_s = film(session).time_s
+    np.testing.assert_allclose(np.diff(time_s), session.robot.period_s)
+    np.testing.assert_allclose(time_s[1:, 0] - time_s[:-1, -1], PAUSE_S)
+
+
+def test_the_camera_misses_about_as_many_markers_as_it_is_told_to(session):
+    pose = film(replace(session, runs=400)).pose
+    missed = np.isnan(pose).any(axis=-1)
+    assert np.isnan(pose[missed]).all()
+    assert abs(missed.mean() - 0.05) < 4 * np.sqrt(0.05 * 0.95 / missed.size)
+
+
+def test_commands_cover_their_limits_and_never_exceed_them(footage):
+    for film_ in footage.values():
+        robot, command = film_.session.robot, film_.command.reshape(-1, film_.command.shape[-1])
+        span = robot.command_high - robot.command_low
+        assert (command >= robot.command_low).all()
+        assert (command <= robot.command_high).all()
+        assert (command.min(axis=0) < robot.command_low + 0.01 * span).all()
+        assert (command.max(axis=0) > robot.command_high - 0.01 * span).all()
+
+
+def test_vehicles_stay_in_the_arena(footage):
+    for film_ in footage.values():
+        arena = film_.session.robot.arena_mm
+        position = np.moveaxis(film_.state[:2], 0, -1)
+        assert (position > arena.low_mm).all()
+        assert (position < arena.high_mm).all()
+
+
+def test_mgr_spans_and_floors_are_the_papers(footage):
+    mgr = footage["mgr"]
+    moved = displacements(mgr)
+    assert np.mean(np.abs(moved) > mgr.session.robot.displacement_limit) < 1e-3
+    assert 40 < np.quantile(moved[..., 0], 0.999) < 50
+    assert 1.0 < np.quantile(moved[..., 2], 0.999) < 1.4
+    situation, everything = truth.expected_given_situation(mgr), truth.expected_given_everything(mgr)
+    assert 42 < np.abs(situation[..., 0]).max() < 44.5
+    assert 3.0 < position_error_mm(situation, moved).mean() < 4.0
+    assert 3.5 < np.rad2deg(orientation_error_rad(situation, moved).mean()) < 4.5
+    assert 2.3 < position_error_mm(everything, moved).mean() < 2.7
+    assert 2.5 < np.rad2deg(orientation_error_rad(everything, moved).mean()) < 3.0
+
+
+def test_mur_spans_and_floors_are_the_papers(footage):
+    mur = footage["mur"]
+    moved = displacements(mur)
+    assert np.mean(np.abs(moved) > mur.session.robot.displacement_limit) < 2e-3
+    forward_mm, left_mm, turn_rad = moved.reshape(-1, 3).T
+    assert abs(forward_mm.mean() - 31.9) < 6
+    assert abs(forward_mm.std() - 32.7) < 5
+    assert abs(left_mm.std() - 22.8) < 3
+    assert abs(turn_rad.std() - 0.507) < 0.05
+    assert -74 < np.quantile(forward_mm, 0.001) < -40
+    assert 85 < np.quantile(forward_mm, 0.999) < 102
+    situation = truth.expected_given_situation(mur)
+    assert 12 < position_error_mm(situation, moved).mean() < 15
+    assert 6 < np.rad2deg(orientation_error_rad(situation, moved).mean()) < 8
+
+
+def test_another_vehicle_is_a_few_per_cent_different(footage):
+    mgr = footage["mgr"]
+    own = truth.expected_given_everything(mgr)
+    others = truth.expected_given_everything(replace(mgr, session=replace(mgr.session, vehicles=("2",))))
+    strongest = np.abs(own[..., 0]) > 30
+    deviation = np.abs(others[strongest][:, 0] / own[strongest][:, 0] - 1).mean()
+    assert 0.002 < deviation < 0.06
+    assert 0.2 < position_error_mm(own, others).mean() < 2
+
+
+def test_gentle_commands_stay_in_the_inner_half(session):
+    robot = session.robot
+    command = film(replace(session, manner="gentle")).command
+    quarter = (robot.command_high - robot.command_low) / 4
+    assert (command >= robot.command_low + quarter - 0.05).all()
+    assert (command <= robot.command_high - quarter + 0.05).all()
+
+
+def test_held_commands_are_held_where_there_is_nothing_to_avoid(session):
+    command = film(replace(session, manner="held", runs=50)).command[:, :8, 0]
+    repeated = (np.diff(command, axis=1) == 0).all(axis=-1)
+    assert not repeated[:, HELD_PERIODS - 1].any()
+    assert np.delete(repeated, HELD_PERIODS - 1, axis=1).mean() > 0.5
+
+
+def test_waypoints_bring_the_vehicle_further_than_chance(robots):
+    session = Session(robots["mgr"], ("1",), 60, 12, 5)
+
+    def travelled_mm(manner):
+        state = film(replace(session, manner=manner)).state
+        return np.hypot(*(state[:2, :, -1, 0] - state[:2, :, 0, 0])).mean()
+
+    assert travelled_mm("waypoints") > 2 * travelled_mm("uniform")
+
+
+def test_a_drive_is_played_run_after_run_and_from_its_beginning_again(session):
+    robot = session.robot
+    drive = np.linspace(robot.command_low, (robot.command_low + robot.command_high) / 2, 35)
+    footage = film(replace(session, drive=drive, runs=7))
+    played = footage.command.reshape(70, -1)
+    as_written = (played == np.concatenate([drive, drive])).all(axis=1)
+    assert as_written.mean() > 0.5
+    position = np.moveaxis(footage.state[:2, :, :-1, 0], 0, -1).reshape(70, 2)
+    inner = ((position > robot.arena_mm.low_mm + 170) & (position < robot.arena_mm.high_mm - 170)).all(axis=1)
+    assert as_written[inner].all()
+
+
+def test_several_vehicles_start_apart_and_share_the_clock(robots):
+    footage = film(Session(robots["mgr"], ("1", "2", "3"), 40, 3, 5))
+    start = footage.state[:2, :, 0]
+    for one, other in ((0, 1), (0, 2), (1, 2)):
+        assert np.hypot(*(start[:, :, one] - start[:, :, other])).min() > 100
+    assert footage.pose.shape == (40, 4, 3, 3)
+
+
+def test_a_robot_without_a_stand_in_is_refused(robots):
+    with pytest.raises(UserError, match="robot 'create' has no stand-in: known: mgr, mur"):
+        require_stand_in(robots["create"])
