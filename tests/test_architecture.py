@@ -7,8 +7,9 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "swarmtwin"
 
-FOUNDATION = {"errors", "files", "geometry", "robot"}
+FOUNDATION = {"configuration", "errors", "files", "geometry", "robot"}
 MAY_IMPORT = {
+    "configuration": set(),
     "errors": set(),
     "files": {"errors"},
     "geometry": set(),

@@ -46,7 +46,7 @@ class StrictModel(BaseModel):
             field = ".".join(str(part) for part in first["loc"]) or "content"
             if first["type"] == "extra_forbidden":
                 raise UserError(f"{where}: unknown field {field!r}: {near_miss(field, cls.model_fields)}") from None
-            got = "" if first["type"] == "missing" else f", got {first['input']!r}"
+            got = "" if first["type"] in ("missing", "value_error") else f", got {first['input']!r}"
             raise UserError(f"{where}: field {field!r}: {first['msg']}{got}") from None
 
 

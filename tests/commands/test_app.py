@@ -11,7 +11,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from swarmtwin.commands import COMMANDS
-from swarmtwin.commands.app import config_folder, run_command
+from swarmtwin.commands.app import run_command
+from swarmtwin.configuration import config_folder
 
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
 
@@ -56,7 +57,11 @@ def test_a_command_runs_and_its_output_knows_its_configuration(recording, workpl
             "no such robot: 'mgrr': did you mean 'mgr'? known: create, mgr, mur",
         ),
         (["prepare", "output=out"], 2, "option 'recording' is missing: add recording=..."),
-        (["prepare", "recording=none", "output=out", "seed=x"], 1, "field 'seed': Input should be a valid integer"),
+        (
+            ["prepare", "recording=none", "output=out", "split.seed=x"],
+            1,
+            "field 'split.seed': Input should be a valid integer",
+        ),
         (["prepare", "recording=none", "output=out"], 1, "no recording folder none"),
         (["experiment", "output=out"], 1, "say which: name=..."),
         (["experiment", "name=dynamcs"], 1, "no such experiment: 'dynamcs': did you mean 'dynamics'?"),
@@ -72,7 +77,9 @@ def test_a_mistake_is_one_line_that_names_the_remedy(workplace, capfd, arguments
 
 
 def test_a_sweep_runs_each_value(recording, workplace):
-    assert call("prepare", "-m", "robot=mgr", f"recording={recording}", "seed=1,2", "output=out_${seed}") == 0
+    assert (
+        call("prepare", "-m", "robot=mgr", f"recording={recording}", "split.seed=1,2", "output=out_${split.seed}") == 0
+    )
     assert (workplace / "out_1").is_dir()
     assert (workplace / "out_2").is_dir()
 

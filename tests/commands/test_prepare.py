@@ -11,6 +11,8 @@ from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.transitions import SPLITS, from_recording, load_preparation, load_transitions
 
+SPLIT = {"fractions": {"train": 0.85, "validation": 0.05, "test": 0.10}, "seed": 1}
+
 
 @pytest.fixture
 def recording(robots, tmp_path):
@@ -31,8 +33,7 @@ def options(robots, recording, tmp_path):
         chosen = {
             "robot": robots["mgr"].model_dump(),
             "recording": str(recording),
-            "fractions": {"train": 0.85, "validation": 0.05, "test": 0.10},
-            "seed": 1,
+            "split": SPLIT,
             "output": str(tmp_path / "prepared"),
             "overwrite": False,
         }
@@ -106,14 +107,14 @@ def test_the_recording_is_never_overwritten(recording, options, tmp_path):
 def test_preparing_again_replaces_only_what_was_prepared(options, tmp_path):
     prepare.run(options())
     with pytest.raises(UserError, match="already holds something"):
-        prepare.run(options(seed=2))
-    prepare.run(options(seed=2, overwrite=True))
+        prepare.run(options(split=SPLIT | {"seed": 2}))
+    prepare.run(options(split=SPLIT | {"seed": 2}, overwrite=True))
     assert load_preparation(tmp_path / "prepared").seed == 2
     assert json.loads((tmp_path / "prepared" / "provenance.json").read_text())["command"] == "prepare"
 
 
 def test_unknown_and_wrong_options_are_refused(options):
-    with pytest.raises(UserError, match=r"swarmtwin prepare: unknown field 'sead': did you mean 'seed'\?"):
-        options(sead=1)
+    with pytest.raises(UserError, match=r"swarmtwin prepare: unknown field 'outptu': did you mean 'output'\?"):
+        options(outptu="x")
     with pytest.raises(UserError, match=r"must sum to 1, not 0\.9"):
-        options(fractions={"train": 0.8, "validation": 0.0, "test": 0.1})
+        options(split={"fractions": {"train": 0.8, "validation": 0.0, "test": 0.1}, "seed": 1})

@@ -1,4 +1,4 @@
-"""A differential drive simple enough to know everything about: linear wheels with dead bands, exact arcs, white noise."""
+"""A differential drive simple enough to know all about: linear wheels with dead bands, exact arcs, noise."""
 
 from pathlib import Path
 
@@ -50,7 +50,7 @@ def toy_track(robot, steps, seed=0, run="run-0", vehicle="1"):
 def toy_transitions(robot, count, noise=(0.0, 0.0, 0.0), seed=0, steps=50, mean=exact_displacement):
     """Transitions in runs of `steps`, a fifth of the runs for validation and a fifth for the test.
 
-    Commands and poses are uniform; `mean` maps commands (N, m) to displacements (N, 3), noise is their sd in mm and rad.
+    Commands and poses are uniform; `mean` maps commands (N, m) to displacements (N, 3), `noise` is an sd each.
     """
     random = np.random.default_rng(seed)
     command = random.uniform(robot.command_low, robot.command_high, (count, len(robot.command)))

@@ -8,7 +8,6 @@ import re
 import signal
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
@@ -18,16 +17,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
+from swarmtwin.configuration import config_folder
 from swarmtwin.errors import UserError, near_miss
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
-
-
-def config_folder() -> Path:
-    """Return `conf/`: inside the installed package, or at the top of the repository it is developed in."""
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "conf"
-    return installed if installed.is_dir() else package.parents[1] / "conf"
 
 
 def run_command(name: str, module_name: str, arguments: list[str]) -> int:
@@ -107,6 +100,8 @@ def _known_options(config_name: str, option: str) -> list[str]:
     with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = hydra.compose(config_name)
     parent = option.rpartition(".")[0]
+    if parent and OmegaConf.select(config, parent) is None:
+        return _known_options(config_name, parent)
     node = OmegaConf.select(config, parent) if parent else config
     prefix = f"{parent}." if parent else ""
     return [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []

@@ -10,7 +10,7 @@ from swarmtwin.files import new_folder
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.tracks import ROW_REASONS
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.transitions import SPLITS, Fractions, Preparation, from_recording, split_by_run
+from swarmtwin.transitions import SPLITS, Preparation, SplitOptions, from_recording, split_by_run
 from swarmtwin.transitions.extraction import REASONS
 from swarmtwin.transitions.preparation import describe, save_preparation
 
@@ -20,8 +20,7 @@ class Options(StrictModel):
 
     robot: Robot
     recording: Path
-    fractions: Fractions
-    seed: int
+    split: SplitOptions
     output: Path
     overwrite: bool
 
@@ -37,9 +36,9 @@ def run(options: Options) -> None:
     with new_folder(options.output, "prepare", options.model_dump(mode="json"), options.overwrite) as folder:
         recording = read_recording(options.recording, options.robot)
         transitions, counts = from_recording(recording)
-        transitions = split_by_run(transitions, options.fractions, options.seed)
+        transitions = split_by_run(transitions, options.split.fractions, options.split.seed)
         name = options.recording.resolve().name
-        preparation = describe(recording, name, transitions, counts, options.fractions, options.seed)
+        preparation = describe(recording, name, transitions, counts, options.split.fractions, options.split.seed)
         save_preparation(folder, transitions, preparation)
     for table in summary(preparation):
         Console().print(table)

@@ -3,17 +3,15 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-import yaml
 from pydantic import BeforeValidator
 
-from swarmtwin.commands.app import config_folder
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.transitions import (
-    Fractions,
     Preparation,
+    SplitOptions,
     Transitions,
     from_recording,
     load_preparation,
@@ -34,11 +32,11 @@ Vehicles = Annotated[tuple[str, ...] | None, BeforeValidator(_texts)]
 
 
 def training_transitions(
-    robot: Robot, transitions: Path | None, recording: Path | None, vehicles: Vehicles
+    robot: Robot, transitions: Path | None, recording: Path | None, vehicles: Vehicles, split: SplitOptions
 ) -> tuple[Transitions, Preparation, Path]:
     """Return transitions with their splits, how they came about, and the folder they come from.
 
-    A recording is prepared on the way, with the shares and the seed of conf/prepare.yaml.
+    A recording is prepared on the way, by `split`; prepared transitions are split already.
 
     Raises:
         UserError: both or neither are there, the data are of another robot, or at fault.
@@ -46,7 +44,7 @@ def training_transitions(
     if transitions and recording:
         raise UserError("give transitions=... or recording=..., not both")
     if recording:
-        return *_prepared(read_vehicles(recording, robot, vehicles), recording.resolve().name), recording
+        return *_prepared(read_vehicles(recording, robot, vehicles), recording.resolve().name, split), recording
     if vehicles is not None:
         raise UserError("vehicles=... chooses from a recording: give recording=... as well")
     folder = transitions or Path("artifacts/transitions") / robot.name
@@ -73,9 +71,7 @@ def read_vehicles(folder: Path, robot: Robot, vehicles: Vehicles) -> Recording:
     return recording.where(lambda track: track.vehicle in vehicles)
 
 
-def _prepared(recording: Recording, name: str) -> tuple[Transitions, Preparation]:
-    defaults = yaml.safe_load((config_folder() / "prepare.yaml").read_text())
-    fractions, seed = Fractions.parse(defaults["fractions"], "conf/prepare.yaml: fractions"), defaults["seed"]
+def _prepared(recording: Recording, name: str, split: SplitOptions) -> tuple[Transitions, Preparation]:
     transitions, counts = from_recording(recording)
-    transitions = split_by_run(transitions, fractions, seed)
-    return transitions, describe(recording, name, transitions, counts, fractions, seed)
+    transitions = split_by_run(transitions, split.fractions, split.seed)
+    return transitions, describe(recording, name, transitions, counts, split.fractions, split.seed)

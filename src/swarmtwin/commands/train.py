@@ -26,7 +26,7 @@ from swarmtwin.dynamics.training import Trained, train
 from swarmtwin.files import new_folder, write_text
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.tracking import TrackedRun, tracked_run
-from swarmtwin.transitions import Preparation, Transitions
+from swarmtwin.transitions import Preparation, SplitOptions, Transitions
 
 CHECKPOINTS = "checkpoints"
 
@@ -37,6 +37,7 @@ class Options(StrictModel):
     robot: Robot
     model: dict[str, Any]
     recipe: Recipe
+    split: SplitOptions
     transitions: Path | None
     recording: Path | None
     vehicles: Vehicles
@@ -55,7 +56,7 @@ def run(options: Options) -> None:
     """
     config = model_config(options.model, "model")
     transitions, preparation, source = training_transitions(
-        options.robot, options.transitions, options.recording, options.vehicles
+        options.robot, options.transitions, options.recording, options.vehicles, options.split
     )
     name = f"{options.robot.name}-{config.name}"
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")

@@ -21,6 +21,7 @@ from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import write_text
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.tracking import parent_run, tracked_run
+from swarmtwin.transitions import SplitOptions
 
 logger = logging.getLogger(__name__)
 
@@ -59,6 +60,7 @@ class Options(StrictModel):
     space: Annotated[dict[str, Range], Field(min_length=1)]
     trials: Annotated[int, Field(ge=1)]
     workers: Annotated[int, Field(ge=1)]
+    split: SplitOptions
     transitions: Path | None
     recording: Path | None
     vehicles: Vehicles
@@ -85,7 +87,7 @@ def run(options: Options) -> None:
     """
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     _check(options)
-    training_transitions(options.robot, options.transitions, options.recording, options.vehicles)
+    training_transitions(options.robot, options.transitions, options.recording, options.vehicles, options.split)
     study = _study(options)
     done = len(_finished(study))
     logger.info(
@@ -156,7 +158,7 @@ def _search(options: Options, number: int) -> None:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     options = options.model_copy(update={"seed": options.seed + number})
     transitions, _, source = training_transitions(
-        options.robot, options.transitions, options.recording, options.vehicles
+        options.robot, options.transitions, options.recording, options.vehicles, options.split
     )
 
     def objective(trial: optuna.Trial) -> float:

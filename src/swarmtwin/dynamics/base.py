@@ -1,6 +1,7 @@
 """The one interface of all dynamics models: a situation goes in, a displacement comes out."""
 
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import Any, Self, cast
 
 import lightning
 import torch
@@ -27,9 +28,11 @@ class Dynamics(lightning.LightningModule):
         config: the model's configuration.
         parts: the parts of a situation that it looks at.
         recipe: how it is trained; not needed to predict.
+        training_steps: how many steps its whole training takes; likewise.
     """
 
     recipe: Recipe | None = None
+    training_steps: int = 0
 
     def __init__(self, robot: Robot, config: ModelConfig) -> None:
         super().__init__()
@@ -40,6 +43,14 @@ class Dynamics(lightning.LightningModule):
         self.encoding = Encoding(robot, self.parts, config.scaling)
         self.network = config.build(robot, self.encoding.width)
         self.output_scaling = Scaling(3, config.scaling)
+
+    @classmethod
+    def with_weights(cls, robot: Robot, config: ModelConfig, weights: Mapping[str, Tensor]) -> Self:
+        """Build a trained model from its weights and scalings, ready to predict; no random number is drawn."""
+        with torch.random.fork_rng(devices=[]):
+            dynamics = cls(robot, config)
+        dynamics.load_state_dict(weights)
+        return dynamics.eval()
 
     def learn_scaling(self, situation: Situation, displacement: Tensor) -> None:
         """Take both scalings from the training split: N situations and their displacements (N, 3)."""
@@ -79,8 +90,7 @@ class Dynamics(lightning.LightningModule):
         """Build what the recipe says."""
         assert self.recipe is not None
         optimiser = self.recipe.optimiser(self.parameters())
-        steps = int(self.trainer.estimated_stepping_batches)
-        return {"optimizer": optimiser, "lr_scheduler": self.recipe.scheduler(optimiser, steps)}
+        return {"optimizer": optimiser, "lr_scheduler": self.recipe.scheduler(optimiser, self.training_steps)}
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         """Move a batch to where the network is."""

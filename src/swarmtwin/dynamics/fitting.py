@@ -23,6 +23,9 @@ from swarmtwin.dynamics.progress import Epoch, EpochReport, Progress
 from swarmtwin.dynamics.recipe import Recipe
 from swarmtwin.dynamics.training_data import TrainingData
 
+# With fewer steps a live network can still be as good as constant.
+STEPS_TO_JUDGE = 100
+
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
 
@@ -64,8 +67,8 @@ def fit_seed(
         torch.manual_seed(seed)
         dynamics = Dynamics(data.robot, config)
         dynamics.learn_scaling(*data.train)
-        dynamics.recipe = recipe
         batches = ShuffledBatches(*data.train, size=recipe.batch_size, seed=seed)
+        dynamics.recipe, dynamics.training_steps = recipe, recipe.epochs * len(batches)
         identity = _identity(config, recipe, data, seed)
         progress = Progress(seed, identity, batches, recipe.heading_weight, checkpoint, report)
         if (left := recipe.epochs - len(progress.history)) and not progress.diverged:
@@ -104,6 +107,8 @@ def _run_trainer(
 def _why_dead(dynamics: Dynamics, progress: Progress, data: TrainingData) -> str | None:
     if progress.diverged:
         return f"the errors were no longer finite in epoch {len(progress.history)}"
+    if len(progress.history) * len(progress.batches) < STEPS_TO_JUDGE:
+        return None
     situation, displacement = data.validation
     with torch.inference_mode():
         predicted, inputs = dynamics(situation), dynamics.encoding(situation)

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from typing import Annotated, Literal, Self
 
 from pydantic import Field
 from torch import nn
 from torch.optim import AdamW, Optimizer
-from torch.optim.lr_scheduler import LRScheduler, OneCycleLR, ReduceLROnPlateau
+from torch.optim.lr_scheduler import LambdaLR, LRScheduler, ReduceLROnPlateau
 
 from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.robot import Positive, StrictModel
@@ -79,13 +80,16 @@ class Recipe(StrictModel):
 
     def scheduler(self, optimiser: Optimizer, steps: int) -> LRScheduler:
         """Build the schedule of a training of `steps` steps."""
-        assert self.learning_rate is not None
         if isinstance(self.schedule, Plateau):
             chosen = self.schedule
             return ReduceLROnPlateau(
                 optimiser, patience=chosen.patience, factor=chosen.factor, min_lr=chosen.lowest_learning_rate
             )
-        return OneCycleLR(
-            optimiser, max_lr=self.learning_rate, total_steps=steps, pct_start=self.schedule.warm_up,
-            cycle_momentum=False,
-        )  # fmt: skip
+        return LambdaLR(optimiser, partial(_one_cycle, steps, self.schedule.warm_up * steps))
+
+
+def _one_cycle(steps: int, warm_up_steps: float, step: int) -> float:
+    """Return the share of the largest learning rate at `step`, from 0."""
+    if step < warm_up_steps:
+        return (step + 1) / (warm_up_steps + 1)
+    return (1 + math.cos(math.pi * (step - warm_up_steps) / (steps - warm_up_steps))) / 2

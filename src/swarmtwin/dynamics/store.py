@@ -81,22 +81,22 @@ def load_dynamics(folder: Path) -> Dynamics:
     folder = Path(folder)
     description = read_description(folder)
     config = model_config(description.model, f"{folder / DESCRIPTION}: model")
-    dynamics = Dynamics(description.robot, config)
-    dynamics.load_state_dict(_read_weights(folder / WEIGHTS, dynamics.state_dict()))
-    return dynamics.eval()
+    weights = _read_weights(folder / WEIGHTS)
+    try:
+        return Dynamics.with_weights(description.robot, config, weights)
+    except RuntimeError:  # names or shapes differ
+        raise UserError(
+            f"{folder / WEIGHTS} does not belong to {DESCRIPTION} beside it: train the model anew"
+        ) from None
 
 
-def _read_weights(path: Path, expected: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _read_weights(path: Path) -> dict[str, torch.Tensor]:
     try:
         weights: dict[str, torch.Tensor] = load_file(path)
     except FileNotFoundError:
         raise UserError(f"{path} is missing: train the model anew") from None
     except SafetensorError as error:
         raise UserError(f"{path} is damaged ({error}): train the model anew") from None
-    wrong = sorted(weights.keys() ^ expected.keys())
-    wrong += [name for name in expected.keys() & weights.keys() if weights[name].shape != expected[name].shape]
-    if wrong:
-        raise UserError(f"{path} does not belong to {path.parent / DESCRIPTION}: {wrong[0]} differs; train anew")
     if broken := [name for name, tensor in weights.items() if not tensor.isfinite().all()]:
         raise UserError(f"{path}: {broken[0]} is not finite; train the model anew")
     return weights

@@ -79,9 +79,9 @@ def train(
         if result.dead:
             log.warning("%s, seed %d is dead: %s", config.name, result.seed, result.dead)
     best = _best_live(config, results)
-    dynamics = Dynamics(transitions.robot, config)
-    dynamics.load_state_dict({name: torch.from_numpy(weights) for name, weights in best.weights.items()})
-    return Trained(dynamics.eval(), best.seed, recipe, tuple(results))
+    weights = {name: torch.from_numpy(values) for name, values in best.weights.items()}
+    dynamics = Dynamics.with_weights(transitions.robot, config, weights)
+    return Trained(dynamics, best.seed, recipe, tuple(results))
 
 
 def _best_live(config: ModelConfig, results: Sequence[SeedResult]) -> SeedResult:

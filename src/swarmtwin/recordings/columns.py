@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from swarmtwin.configuration import config_folder
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.faults import fault
 from swarmtwin.robot import POSE_COLUMNS, Robot
@@ -44,8 +45,5 @@ def _missing_column(missing: str, found: Sequence[str], robot: Robot, file: Path
 
 @functools.cache
 def known_robots() -> tuple[Robot, ...]:
-    """Return the robots of `conf/robot/`: in the installed package, or at the top of the repository."""
-    package = Path(__file__).resolve().parents[1]
-    folders = (package / "conf" / "robot", package.parents[1] / "conf" / "robot")
-    folder = next((folder for folder in folders if folder.is_dir()), folders[0])
-    return tuple(Robot.load(file) for file in sorted(folder.glob("*.yaml")))
+    """Return the robots of `conf/robot/`."""
+    return tuple(Robot.load(file) for file in sorted((config_folder() / "robot").glob("*.yaml")))

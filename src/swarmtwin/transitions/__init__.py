@@ -3,7 +3,7 @@
 from swarmtwin.transitions.extraction import Counts, from_recording
 from swarmtwin.transitions.preparation import Preparation, load_preparation, load_transitions, save_transitions
 from swarmtwin.transitions.scaling import ColumnScaling, Scaling
-from swarmtwin.transitions.splitting import Fractions, split_by_run
+from swarmtwin.transitions.splitting import Fractions, SplitOptions, split_by_run
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Fractions",
     "Preparation",
     "Scaling",
+    "SplitOptions",
     "Transitions",
     "from_recording",
     "load_preparation",

@@ -29,6 +29,13 @@ class Fractions(StrictModel):
         return float(getattr(self, split))
 
 
+class SplitOptions(StrictModel):
+    """The configuration of a split, as in conf/split/by_run.yaml: each part's share, and the seed of the draw."""
+
+    fractions: Fractions
+    seed: int
+
+
 def split_by_run(transitions: Transitions, fractions: Fractions, seed: int) -> Transitions:
     """Assign whole runs to the splits, at random, so that each split's share of the transitions is near its fraction.
 

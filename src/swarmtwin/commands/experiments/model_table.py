@@ -10,7 +10,7 @@ from swarmtwin.commands.measurement import Figures
 
 
 class ModelRow(NamedTuple):
-    """One model as a person reads it; each figure is mean ± standard deviation, the first line in mm, the second in degrees."""
+    """One model as a person reads it; errors are mean ± standard deviation, first in mm, then in degrees."""
 
     model: str
     parameters: str
@@ -40,7 +40,7 @@ def model_rows(table: pd.DataFrame) -> list[ModelRow]:
     """Return the floor and then each model of table.csv, in its order."""
     models = list(table.model.unique())
     first = table[table.model == models[0]].set_index("recording")
-    kind = str(first.floor_kind.iloc[0]).replace("_", " ")
+    kind = "exact" if first.floor_kind.iloc[0] == "exact" else "estimate"
     floor = [_errors(first.loc[name], "floor") for name in ("train_vehicle", "other_vehicle")]
     rows = [ModelRow(f"floor ({kind})", "", floor[0], floor[1], [], "", "")]
     for model in models:
@@ -62,24 +62,17 @@ def model_rows(table: pd.DataFrame) -> list[ModelRow]:
 
 def model_table(title: str, table: pd.DataFrame, best: str) -> Table:
     """Return the terminal's table: the floor, then a row for each model."""
-    shown = Table(
-        box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False, title=f"{title}: errors on runs the models have not seen"
-    )
-    shown.add_column("model")
-    for heading in (
-        "para-\nmeters",
-        "train vehicle",
-        "other vehicle",
-        "model error\n(train)",
-        "open loop",
-        "dead\nseeds",
-    ):
+    title = f"{title}: errors on runs the models have not seen"
+    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title)
+    shown.add_column("\nmodel", no_wrap=True, min_width=14)
+    figures = ("train vehicle\nmm, °", "other vehicle\nmm, °", "model error\nmm, °", "open loop\nmm")
+    for heading in (*figures, "dead\nseeds"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for row in model_rows(table):
-        cells = ["\n".join(cell) if isinstance(cell, list) else cell for cell in row[1:]]
+        cells = ["\n".join(cell) if isinstance(cell, list) else cell for cell in row[2:]]
         name = f"{row.model} *" if row.model == best else row.model
         shown.add_row(name, *cells, style="dim" if row.model.startswith("floor") else None)
-    shown.caption = "mean ± standard deviation; first line position, second orientation; * best on the validation runs"
+    shown.caption = "mean ± standard deviation, position above orientation; * best on validation runs"
     return shown
 
 

@@ -1,0 +1,109 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from toy import exact_displacement, toy_transitions
+
+from swarmtwin.dynamics.base import Dynamics
+from swarmtwin.dynamics.evaluation import (
+    ErrorFigure,
+    by_vehicle,
+    floor,
+    model_error,
+    neighbour_floor,
+    one_step,
+    predict,
+)
+from swarmtwin.dynamics.neighbours import NeighbourRegression
+from swarmtwin.dynamics.registry import config_class
+from swarmtwin.errors import UserError
+
+
+@pytest.fixture(scope="module")
+def dynamics(robots):
+    torch.manual_seed(0)
+    return Dynamics(robots["mgr"], config_class("kinematic")()).eval()
+
+
+def test_errors_by_hand():
+    measured = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 3.1]])
+    predicted = np.array([[3.0, 4.0, 0.1], [10.0, 0.0, -3.1]])
+    figure = ErrorFigure.between(predicted, measured)
+    around_the_half_turn = 2 * np.pi - 6.2
+    assert figure.position_mm == pytest.approx(2.5)
+    assert figure.position_sd_mm == pytest.approx(2.5)
+    assert figure.orientation_deg == pytest.approx(np.degrees((0.1 + around_the_half_turn) / 2))
+    assert figure.orientation_sd_deg == pytest.approx(np.degrees((0.1 - around_the_half_turn) / 2))
+    assert figure.transitions == 2
+
+
+def test_no_transitions_are_refused(robots, dynamics):
+    empty = toy_transitions(robots["mgr"], 50).where(np.zeros(50, bool))
+    with pytest.raises(
+        UserError, match="there are no transitions to evaluate: record more runs, or split them otherwise"
+    ):
+        one_step(dynamics, empty)
+
+
+def test_floor_and_model_error_add_up_to_the_one_step_error(robots, dynamics):
+    transitions = toy_transitions(robots["mgr"], 20_000, noise=(2.0, 2.0, 0.05))
+    exact = exact_displacement(transitions.command)
+    assert one_step(dynamics, transitions) == ErrorFigure.between(
+        predict(dynamics, transitions), transitions.displacement
+    )
+    # squared errors add up, since the noise is independent of what the model gets wrong
+    squares = [
+        figure.position_mm**2 + figure.position_sd_mm**2
+        for figure in (
+            one_step(dynamics, transitions),
+            floor(exact, transitions),
+            model_error(dynamics, transitions, exact),
+        )
+    ]
+    assert squares[0] == pytest.approx(squares[1] + squares[2], rel=0.02)
+
+
+def test_the_floor_of_known_noise_is_that_of_its_distribution(robots):
+    transitions = toy_transitions(robots["mgr"], 20_000, noise=(2.0, 2.0, 0.05))
+    figure = floor(exact_displacement(transitions.command), transitions)
+    # Rayleigh and half-normal means; four standard errors of 20,000 draws are 1.5 and 2.2 %
+    assert figure.position_mm == pytest.approx(2 * np.sqrt(np.pi / 2), rel=0.015)
+    assert figure.orientation_deg == pytest.approx(np.degrees(0.05 * np.sqrt(2 / np.pi)), rel=0.022)
+
+
+def test_neighbours_estimate_a_known_floor(robots, dynamics):
+    transitions = toy_transitions(robots["mgr"], 8000, noise=(2.0, 2.0, 0.05))
+    exact = floor(exact_displacement(transitions.command), transitions).position_mm
+    estimate = neighbour_floor(dynamics, transitions)
+    assert exact <= estimate.error.position_mm < 1.05 * exact
+
+
+def test_a_floor_can_be_estimated_for_some_transitions_only(robots, dynamics):
+    transitions = toy_transitions(robots["mgr"], 4000, noise=(2.0, 2.0, 0.05))
+    noisier = transitions.displacement.copy()
+    scored = transitions.split == 2
+    noisier[scored] += np.random.default_rng(1).normal(0, 4, (scored.sum(), 3)) * [1, 1, 0]
+    mixed = dataclasses.replace(transitions, displacement=noisier)
+    estimate = neighbour_floor(dynamics, mixed, scored)
+    assert estimate.error.transitions == scored.sum()
+    assert estimate.error.position_mm == pytest.approx(np.hypot(2, 4) * np.sqrt(np.pi / 2), rel=0.1)
+
+
+def test_a_plane_is_regressed_exactly_up_to_the_ridge():
+    random = np.random.default_rng(0)
+    inputs = random.uniform(-1, 1, (2000, 3))
+    outputs = inputs @ random.normal(size=(3, 2)) + 5
+    inner = inputs[np.abs(inputs).max(axis=1) < 0.5]
+    expected = outputs[np.abs(inputs).max(axis=1) < 0.5]
+    predicted = NeighbourRegression(inputs, outputs).predict(inner, 50)
+    assert np.abs(predicted - expected).max() < 0.05 * outputs.std()
+
+
+def test_errors_are_told_by_vehicle(robots, dynamics):
+    transitions = toy_transitions(robots["mgr"], 400, noise=(2.0, 2.0, 0.05))
+    vehicle = (np.arange(400) >= 100).astype(int)
+    two = dataclasses.replace(transitions, vehicle=vehicle, vehicles=("a", "b"))
+    figures = by_vehicle(one_step, dynamics, two)
+    assert {name: figure.transitions for name, figure in figures.items()} == {"a": 100, "b": 300}
+    assert figures["a"] == one_step(dynamics, transitions.where(vehicle == 0))

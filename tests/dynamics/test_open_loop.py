@@ -1,0 +1,141 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, toy_track
+
+from swarmtwin.dynamics.base import Dynamics
+from swarmtwin.dynamics.open_loop import open_loop, rmse_mm, summary, summary_by_vehicle
+from swarmtwin.dynamics.registry import config_class
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import compose
+from swarmtwin.recordings.recording import Track
+
+
+@pytest.fixture(scope="module")
+def exact(robots):
+    """The toy's own kinematics."""
+    dynamics = Dynamics(robots["mgr"], config_class("kinematic")()).eval()
+    values = {"track_mm": TRACK_MM}
+    for wheel in ("left", "right"):
+        values |= {f"{wheel}_gain_mm_s_per_unit": GAIN_MM_S[wheel], f"{wheel}_dead_band": DEAD_BAND[wheel]}
+    network = dynamics.network
+    for name, value in values.items():
+        torch.nn.init.constant_(network.free[name], np.log(value / network.quantities[name].size))
+    return dynamics
+
+
+def inexact(robots, *parts):
+    torch.manual_seed(0)
+    dynamics = Dynamics(robots["mgr"], config_class("mlp")(situation=("command", *parts)))
+    return dynamics.eval()
+
+
+def test_the_exact_model_predicts_noise_free_runs(robots, exact):
+    tracks = [toy_track(robots["mgr"], steps, seed) for seed, steps in enumerate((60, 7, 30))]
+    runs = open_loop(exact, tracks)
+    for run, track in zip(runs, tracks, strict=True):
+        np.testing.assert_allclose(run.predicted, track.pose, atol=1e-2)
+        assert run.rmse_mm < 1e-2
+    assert summary(runs).rmse_mm < 1e-2
+    assert summary(runs).runs == 3
+
+
+def test_the_rmse_of_three_steps_by_hand(robots, exact):
+    measured = np.array([[100.0, 100.0, 0.0], [103.0, 104.0, 0.0], [np.nan] * 3, [100.0, 112.0, 0.0]])
+    standing = np.array([[0.0, 0.0], [5.0, -5.0], [0.0, 0.0], [np.nan, np.nan]])  # zero, or within the dead band
+    [run] = open_loop(exact, [Track("r", "1", 0.5 * np.arange(4), standing, measured)])
+    np.testing.assert_allclose(run.predicted, np.tile(measured[0], (4, 1)))
+    assert run.rmse_mm == pytest.approx(np.sqrt((5**2 + 12**2) / 2))
+
+
+def test_runs_predicted_together_are_the_runs_predicted_alone(robots):
+    dynamics = inexact(robots, "previous_command", "pose", "elapsed_s", "duration_s")
+    tracks = [toy_track(robots["mgr"], steps, seed) for seed, steps in enumerate((20, 3, 11))]
+    together = open_loop(dynamics, tracks)
+    for run, track in zip(together, tracks, strict=True):
+        [alone] = open_loop(dynamics, [track])
+        np.testing.assert_allclose(run.predicted, alone.predicted, rtol=1e-5, atol=1e-3)
+
+
+def test_nothing_but_the_first_pose_is_used(robots):
+    dynamics = inexact(robots, "previous_command", "pose")
+    track = toy_track(robots["mgr"], 12)
+    other = track.pose.copy()
+    other[1:] += 77
+    [run], [changed] = open_loop(dynamics, [track]), open_loop(dynamics, [dataclasses.replace(track, pose=other)])
+    np.testing.assert_array_equal(run.predicted, changed.predicted)
+
+
+def test_a_model_of_the_command_alone_moves_with_the_frame(robots):
+    dynamics = inexact(robots)
+    track = toy_track(robots["mgr"], 15)
+    frame = np.array([300.0, -200.0, 2.0])
+    turned = dataclasses.replace(track, pose=compose(np.tile(frame, (16, 1)), track.pose))
+    [run], [moved] = open_loop(dynamics, [track]), open_loop(dynamics, [turned])
+    np.testing.assert_allclose(
+        moved.predicted[:, :2], compose(np.tile(frame, (16, 1)), run.predicted)[:, :2], atol=1e-6
+    )
+    assert moved.rmse_mm == pytest.approx(run.rmse_mm)
+
+
+def test_the_previous_command_is_that_of_the_step_before(robots):
+    dynamics = inexact(robots, "previous_command")
+    seen = []
+    handle = dynamics.encoding.register_forward_pre_hook(lambda _, arguments: seen.append(arguments[0]))
+    track = toy_track(robots["mgr"], 4)
+    open_loop(dynamics, [track])
+    handle.remove()
+    previous = torch.cat([situation.previous_command for situation in seen])
+    assert previous[0].isnan().all()
+    np.testing.assert_allclose(previous[1:], track.command[:3], rtol=1e-6)
+
+
+@pytest.mark.parametrize("obstacle", ["command", "gap"])
+def test_a_missing_command_or_a_gap_ends_the_prediction(robots, exact, obstacle):
+    track = toy_track(robots["mgr"], 10)
+    command, time_s = track.command.copy(), track.time_s.copy()
+    if obstacle == "command":
+        command[4] = np.nan
+    else:
+        time_s[5:] += 1.0
+    [run] = open_loop(exact, [dataclasses.replace(track, command=command, time_s=time_s)])
+    assert np.isfinite(run.predicted[:5]).all()
+    assert np.isnan(run.predicted[5:]).all()
+    assert run.rmse_mm < 1e-2
+
+
+def test_a_run_begins_at_its_first_known_pose(robots, exact):
+    track = toy_track(robots["mgr"], 10)
+    pose = track.pose.copy()
+    pose[:3] = np.nan
+    [run] = open_loop(exact, [dataclasses.replace(track, pose=pose)])
+    assert np.isnan(run.predicted[:3]).all()
+    np.testing.assert_allclose(run.predicted[3:], track.pose[3:], atol=1e-2)
+
+
+def test_runs_that_cannot_be_predicted_are_left_out_of_the_summary(robots, exact):
+    track = toy_track(robots["mgr"], 5)
+    blind = dataclasses.replace(track, pose=np.full((6, 3), np.nan))
+    mute = dataclasses.replace(track, command=np.full((6, 2), np.nan))
+    runs = open_loop(exact, [blind, track, mute])
+    assert [np.isfinite(run.rmse_mm) for run in runs] == [False, True, False]
+    assert summary(runs).runs == 1
+    with pytest.raises(UserError) as error:
+        summary(open_loop(exact, [blind, mute]))
+    assert str(error.value) == "no run can be predicted open loop: poses or commands are missing from the start"
+    assert open_loop(exact, []) == []
+
+
+def test_summaries_are_told_by_vehicle(robots):
+    tracks = [toy_track(robots["mgr"], 5, seed, vehicle=vehicle) for seed, vehicle in enumerate("aab")]
+    runs = open_loop(inexact(robots), tracks)
+    figures = summary_by_vehicle(runs)
+    assert figures["a"].rmse_mm == pytest.approx(np.mean([runs[0].rmse_mm, runs[1].rmse_mm]))
+    assert figures["a"].rmse_sd_mm == pytest.approx(abs(runs[0].rmse_mm - runs[1].rmse_mm) / 2)
+    assert (figures["b"].rmse_mm, figures["b"].runs) == (runs[2].rmse_mm, 1)
+
+
+def test_rmse_of_nothing_is_not_a_number():
+    assert np.isnan(rmse_mm(np.full((2, 3), np.nan), np.zeros((2, 3))))
