@@ -78,6 +78,8 @@ def test_the_planted_tail_fin_is_recovered(robots):
         "side_mm_s": -12.0,
         "turn_rad_s": 0.6,
         "turn_exponent": 0.7,
+        "side_exponent": 1.4,
+        "angle_gain": 1.3,
         "trim_deg": 4.0,
     }
     transitions = planted_transitions(robots["mur"], TailFin, planted)

@@ -142,9 +142,10 @@ def test_a_seed_whose_errors_are_not_finite_is_dead(transitions):
     )
 
 
-def test_a_published_net_whose_final_relu_died_is_flagged(transitions):
-    with pytest.raises(UserError, match=r"^fcnn: every seed is dead \(seed 0: constant output: "):
-        train(transitions, config("fcnn", learning_rate=3.0, steps=150), recipe(), [0])
+def test_a_seed_whose_final_relu_died_is_flagged_and_not_chosen(transitions):
+    trained = train(transitions, config("fcnn", steps=150), recipe(batch_size=128), [5, 0], processes=1)
+    assert trained.dead_seeds == {5: "constant output: forward_mm"}
+    assert trained.seed == 0
 
 
 def test_dead_outputs_are_those_that_could_vary_and_do_not():
@@ -198,6 +199,17 @@ def test_predictions_do_not_depend_on_the_unit_of_the_command(transitions):
     settings = config(steps=20), recipe(), [0]
     one, ten = (predict(train(data, *settings).dynamics, data) for data in (transitions, tenfold))
     np.testing.assert_allclose(one, ten, atol=1e-3)
+
+
+def test_what_depends_on_the_previous_command_is_learned_by_a_model_that_asks_for_it(transitions):
+    before = np.nan_to_num(transitions.previous_command)
+    lagging = dataclasses.replace(transitions, displacement=exact_displacement(transitions.command + before))
+    asking = config(situation=("command", "previous_command"), steps=300)
+    errors = [
+        train(lagging, chosen, recipe(batch_size=128), [0]).best.history[-1].validation_position_mm
+        for chosen in (asking, config(steps=300))
+    ]
+    assert errors[0] < 0.25 * errors[1]
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

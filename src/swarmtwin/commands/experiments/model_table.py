@@ -63,7 +63,7 @@ def model_rows(table: pd.DataFrame) -> list[ModelRow]:
 def model_table(title: str, table: pd.DataFrame, best: str) -> Table:
     """Return the terminal's table: the floor, then a row for each model."""
     title = f"{title}: errors on runs the models have not seen"
-    shown = Table(box=box.SIMPLE_HEAD, pad_edge=False, title=title)
+    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title)
     shown.add_column("\nmodel", no_wrap=True, min_width=14)
     figures = ("train vehicle\nmm, °", "other vehicle\nmm, °", "model error\nmm, °", "open loop\nmm")
     for heading in (*figures, "dead\nseeds"):

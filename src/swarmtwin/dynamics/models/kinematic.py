@@ -101,7 +101,8 @@ class Unicycle(KinematicModel):
 class TailFin(KinematicModel):
     """A fin beating about a mean angle (deg) with amplitude (deg) and frequency (rad/s) pushes along that angle.
 
-    The push goes with a power of amplitude · frequency, 1 at both limits; between beats the vehicle coasts.
+    Push, side force and turn each go with a power of amplitude · frequency, taken as 1 at both limits; without a beat
+    the vehicle coasts.
     """
 
     commands = 3
@@ -116,17 +117,20 @@ class TailFin(KinematicModel):
             "side_mm_s": Quantity(0.3 * largest.left_mm / robot.period_s, signed=True),
             "turn_rad_s": Quantity(0.3 * largest.turn_rad / robot.period_s, signed=True),
             "turn_exponent": Quantity(1),
+            "side_exponent": Quantity(1),
+            "angle_gain": Quantity(1),
             "trim_deg": Quantity(5, signed=True),
         }
         super().__init__(robot, quantities)
 
     def velocities(self, command: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Split the push by the fin's mean angle."""
-        angle_rad = torch.deg2rad(command[:, 0] + self.value("trim_deg"))
+        """Split the push by the angle at which it acts: trimmed, and larger than the fin's where the body gives way."""
+        angle_rad = self.value("angle_gain") * torch.deg2rad(command[:, 0] + self.value("trim_deg"))
         beat = (command[:, 1] * command[:, 2] / self.strongest_beat).clamp(min=1e-6)
-        push, steer = beat ** self.value("push_exponent"), beat ** self.value("turn_exponent") * angle_rad.sin()
+        push, side, turn = (beat ** self.value(f"{name}_exponent") for name in ("push", "side", "turn"))
         forward_mm_s = self.value("coasting_mm_s") + self.value("push_mm_s") * push * angle_rad.cos()
-        return forward_mm_s, self.value("side_mm_s") * steer, self.value("turn_rad_s") * steer
+        left_mm_s = self.value("side_mm_s") * side * angle_rad.sin()
+        return forward_mm_s, left_mm_s, self.value("turn_rad_s") * turn * angle_rad.sin()
 
 
 KINEMATICS: dict[Kinematics, Callable[[Robot], KinematicModel]] = {
