@@ -8,7 +8,6 @@ from toy import exact_displacement, toy_transitions
 from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.evaluation import (
     ErrorFigure,
-    by_vehicle,
     floor,
     model_error,
     neighbour_floor,
@@ -100,10 +99,8 @@ def test_a_plane_is_regressed_exactly_up_to_the_ridge():
     assert np.abs(predicted - expected).max() < 0.05 * outputs.std()
 
 
-def test_errors_are_told_by_vehicle(robots, dynamics):
+def test_pooled_figures_are_those_of_all_transitions(robots, dynamics):
     transitions = toy_transitions(robots["mgr"], 400, noise=(2.0, 2.0, 0.05))
-    vehicle = (np.arange(400) >= 100).astype(int)
-    two = dataclasses.replace(transitions, vehicle=vehicle, vehicles=("a", "b"))
-    figures = by_vehicle(one_step, dynamics, two)
-    assert {name: figure.transitions for name, figure in figures.items()} == {"a": 100, "b": 300}
-    assert figures["a"] == one_step(dynamics, transitions.where(vehicle == 0))
+    first = np.arange(400) < 100
+    parts = [one_step(dynamics, transitions.where(chosen)) for chosen in (first, ~first)]
+    assert ErrorFigure.pooled(parts) == pytest.approx(one_step(dynamics, transitions))

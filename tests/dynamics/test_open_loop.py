@@ -6,7 +6,7 @@ import torch
 from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, toy_track
 
 from swarmtwin.dynamics.base import Dynamics
-from swarmtwin.dynamics.open_loop import open_loop, rmse_mm, summary, summary_by_vehicle
+from swarmtwin.dynamics.open_loop import open_loop, rmse_mm, summary
 from swarmtwin.dynamics.registry import config_class
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose
@@ -126,15 +126,6 @@ def test_runs_that_cannot_be_predicted_are_left_out_of_the_summary(robots, exact
         summary(open_loop(exact, [blind, mute]))
     assert str(error.value) == "no run can be predicted open loop: poses or commands are missing from the start"
     assert open_loop(exact, []) == []
-
-
-def test_summaries_are_told_by_vehicle(robots):
-    tracks = [toy_track(robots["mgr"], 5, seed, vehicle=vehicle) for seed, vehicle in enumerate("aab")]
-    runs = open_loop(inexact(robots), tracks)
-    figures = summary_by_vehicle(runs)
-    assert figures["a"].rmse_mm == pytest.approx(np.mean([runs[0].rmse_mm, runs[1].rmse_mm]))
-    assert figures["a"].rmse_sd_mm == pytest.approx(abs(runs[0].rmse_mm - runs[1].rmse_mm) / 2)
-    assert (figures["b"].rmse_mm, figures["b"].runs) == (runs[2].rmse_mm, 1)
 
 
 def test_rmse_of_nothing_is_not_a_number():

@@ -70,8 +70,7 @@ def test_header_without_a_field(mgr, folder):
 def test_arena_the_wrong_way_round(mgr, folder):
     file = edit_header(folder, arena_mm={"x": [1030, 0], "y": [0, 1030]})
     assert refusal(folder, mgr) == (
-        f"{file}: field 'arena_mm.x': Value error, the lower bound must be below the upper one, "
-        "got [1030.0, 0.0]"
+        f"{file}: field 'arena_mm.x': Value error, the lower bound must be below the upper one, got [1030.0, 0.0]"
     )
 
 

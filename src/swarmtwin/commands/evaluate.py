@@ -7,7 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin import registry
-from swarmtwin.commands.measurement import Measurement, load_simulation, measure
+from swarmtwin.commands.measurement import Measured, Measurement, load_simulation, measure
 from swarmtwin.commands.sources import Vehicles, read_vehicles
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.figures import runs_figure, scatter_figure
@@ -40,7 +40,7 @@ def run(options: Options) -> None:
     name = f"{options.robot.name}-{dynamics.config.name} on {options.recording.name}"
     with tracked_run("dynamics", f"evaluate {name}", settings, [options.recording]) as tracked:
         with new_folder(options.output, "evaluate", settings, options.overwrite) as folder:
-            measurement = measure(dynamics, provenance, recording, options.recording)
+            measurement = measure(dynamics, provenance, Measured.of(recording, options.recording))
             about = {"robot": options.robot.name, "model": dynamics.config.name, "recording": options.recording.name}
             write_text(folder / "metrics.json", json.dumps({**about, **measurement.metrics()}, indent=1) + "\n")
             _draw(folder, measurement, recording.header.arena_mm)

@@ -107,40 +107,104 @@ def load_simulation(folder: Path, robot: Robot) -> tuple[Dynamics, Provenance]:
     return dynamics, Provenance.read(folder)
 
 
-def measure(dynamics: Dynamics, provenance: Provenance, recording: Recording, folder: Path) -> Measurement:
-    """Measure a model on what it has not seen of a recording, which lies in `folder`.
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """A recording to measure models on.
+
+    Attributes:
+        recording: its runs.
+        transitions: all that can be made of them.
+        truth: on a stand-in, (N, 6) the exact mean displacements given the situation, and given everything; else None.
+    """
+
+    recording: Recording
+    transitions: Transitions
+    truth: pd.DataFrame | None
+
+    @classmethod
+    def of(cls, recording: Recording, folder: Path) -> "Measured":
+        """Take a recording, which lies in `folder`, with its answer book if it has one.
+
+        Raises:
+            UserError: no transition can be made, or the answer book belongs to other runs.
+        """
+        transitions, _ = from_recording(recording)
+        truth = _exact_means(transitions, folder) if (folder / TRUTH_FILE).exists() else None
+        return cls(recording, transitions, truth)
+
+    def exact_means(self, dynamics: Dynamics) -> np.ndarray | None:
+        """Return (N, 3) the stand-in's mean displacements, given what the model is given; None on a real robot."""
+        if self.truth is None:
+            return None
+        known = "everything" if "previous_command" in dynamics.parts else "situation"
+        return self.truth[[f"{known}_{column}" for column in DISPLACEMENT_COLUMNS]].to_numpy(float)
+
+
+def measure(dynamics: Dynamics, provenance: Provenance, measured: Measured) -> Measurement:
+    """Measure a model on what it has not seen of a recording.
 
     Raises:
-        UserError: the model has seen everything, or no transition can be made.
+        UserError: the model has seen everything.
     """
-    unseen = provenance.unseen_part(recording)
-    transitions, _ = from_recording(unseen)
-    exact = _exact_means(dynamics, transitions, folder) if (folder / TRUTH_FILE).exists() else None
+    unseen = provenance.unseen_part(measured.recording)
+    transitions, exact = measured.transitions, measured.exact_means(dynamics)
     runs = open_loop(dynamics, unseen.tracks)
-    vehicles = {
-        vehicle: _figures(
-            dynamics, transitions, exact, transitions.vehicle == number, [r for r in runs if r.track.vehicle == vehicle]
-        )
-        for number, vehicle in enumerate(transitions.vehicles)
-        if np.any(transitions.vehicle == number)
-    }
-    overall = _figures(dynamics, transitions, exact, np.full(len(transitions), True), runs)
-    predicted = evaluation.predict(dynamics, transitions)
-    return Measurement(overall, vehicles, unseen is not recording, tuple(runs), transitions, predicted)
+    scored = _of_tracks(transitions, unseen)
+    if not scored.any():
+        raise UserError(f"recording {provenance.recording!r}: its held-out runs hold no usable transition: record more")
+    floors = _floors(dynamics, transitions, exact, scored)
+    vehicles = {}
+    for number, vehicle in enumerate(transitions.vehicles):
+        own = scored & (transitions.vehicle == number)
+        if own.any():
+            own_runs = [run for run in runs if run.track.vehicle == vehicle]
+            vehicles[vehicle] = _figures(dynamics, transitions, exact, own, floors[vehicle], own_runs)
+    floor = ErrorFigure.pooled(list(floors.values()))
+    overall = _figures(dynamics, transitions, exact, scored, floor, runs)
+    part = transitions.where(scored)
+    return Measurement(
+        overall, vehicles, unseen is not measured.recording, tuple(runs), part, evaluation.predict(dynamics, part)
+    )
+
+
+def _of_tracks(transitions: Transitions, recording: Recording) -> np.ndarray:
+    """Return (N,) which transitions lie on a track of `recording`."""
+    chosen = np.zeros((len(transitions.runs), len(transitions.vehicles)), dtype=bool)
+    for track in recording.tracks:
+        chosen[transitions.runs.index(track.run), transitions.vehicles.index(track.vehicle)] = True
+    return chosen[transitions.run, transitions.vehicle]
+
+
+def _floors(
+    dynamics: Dynamics, transitions: Transitions, exact: np.ndarray | None, scored: np.ndarray
+) -> dict[str, ErrorFigure]:
+    """Return the floor of each vehicle: exact, or estimated from all of its transitions, each on those scored."""
+    floors = {}
+    for number, vehicle in enumerate(transitions.vehicles):
+        own = transitions.vehicle == number
+        if not (own & scored).any():
+            continue
+        if exact is None:
+            floors[vehicle] = evaluation.neighbour_floor(dynamics, transitions.where(own), scored[own]).error
+        else:
+            floors[vehicle] = evaluation.floor(exact[own & scored], transitions.where(own & scored))
+    return floors
 
 
 def _figures(
-    dynamics: Dynamics, transitions: Transitions, exact: np.ndarray | None, chosen: np.ndarray, runs: Sequence[OpenLoop]
+    dynamics: Dynamics,
+    transitions: Transitions,
+    exact: np.ndarray | None,
+    chosen: np.ndarray,
+    floor: ErrorFigure,
+    runs: Sequence[OpenLoop],
 ) -> Figures:
     part = transitions.where(chosen)
-    kind: FloorKind = "nearest_neighbours" if exact is None else "exact"
     predictable = any(np.isfinite(run.rmse_mm) for run in runs)
     return Figures(
         one_step=evaluation.one_step(dynamics, part),
-        floor=evaluation.neighbour_floor(dynamics, part).error
-        if exact is None
-        else evaluation.floor(exact[chosen], part),
-        floor_kind=kind,
+        floor=floor,
+        floor_kind="nearest_neighbours" if exact is None else "exact",
         model_error=None if exact is None else evaluation.model_error(dynamics, part, exact[chosen]),
         open_loop=summary(runs) if predictable else None,
     )
@@ -153,12 +217,9 @@ def _plain(figure: ErrorFigure) -> dict[str, Any]:
     }
 
 
-def _exact_means(dynamics: Dynamics, transitions: Transitions, folder: Path) -> np.ndarray:
-    """Return (N, 3) the stand-in's mean displacements, given what the model is given."""
-    known = "everything" if "previous_command" in dynamics.parts else "situation"
-    columns = [f"{known}_{column}" for column in DISPLACEMENT_COLUMNS]
+def _exact_means(transitions: Transitions, folder: Path) -> pd.DataFrame:
+    """Return the answer book's row for each transition."""
     truth = read_truth(folder)
-    key = ["run", "vehicle", "time_s"]
     asked = pd.DataFrame(
         {
             "run": np.array(transitions.runs)[transitions.run],
@@ -166,8 +227,7 @@ def _exact_means(dynamics: Dynamics, transitions: Transitions, folder: Path) -> 
             "time_s": transitions.time_s.round(3),
         }
     )
-    found = asked.merge(truth.assign(time_s=truth.time_s.round(3)), on=key, how="left", validate="one_to_one")
-    means = found[columns].to_numpy(float)
-    if np.isnan(means).any():
+    found = asked.merge(truth.assign(time_s=truth.time_s.round(3)), how="left", on=list(asked), validate="one_to_one")
+    if found.isna().any(axis=None):
         raise UserError(f"{folder / TRUTH_FILE} does not belong to the runs beside it: record them again")
-    return means
+    return found

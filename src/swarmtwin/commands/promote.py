@@ -70,9 +70,7 @@ def _find(name: str, candidate: str, robot: Robot) -> registry.Version:
         return known
     with tracked_run("dynamics", f"register {folder}", {"candidate": candidate}, [folder], provenance.seed) as tracked:
         kept = tracked.folder(folder, "model")
-    chosen = provenance.chosen
-    figures = {"position_mm": chosen.position_mm, "orientation_deg": chosen.orientation_deg}
-    return registry.register(name, folder, kept, tracked.run_id, figures)
+    return registry.register(name, folder, kept, tracked.run_id, provenance.chosen.errors)
 
 
 def _judge(

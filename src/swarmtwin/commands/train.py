@@ -3,7 +3,6 @@
 import json
 import shutil
 import time
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -71,10 +70,8 @@ def run(options: Options) -> None:
         kept = tracked.folder(output, "model")
         registered = "not registered"
         if options.register_model:
-            figures_of_merit = _figures(provenance.chosen)
-            version = registry.register(
-                f"{options.robot.name}-dynamics", output, kept, tracked.run_id, figures_of_merit
-            )
+            registered_name = f"{options.robot.name}-dynamics"
+            version = registry.register(registered_name, output, kept, tracked.run_id, provenance.chosen.errors)
             registered = f"registered as {version}, its challenger"
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False)
@@ -90,15 +87,22 @@ def _train(options: Options, config: ModelConfig, transitions: Transitions, chec
 def _provenance(trained: Trained, preparation: Preparation) -> Provenance:
     outcomes = []
     for result in trained.results:
-        best = result.history[result.best - 1]
-        errors = {"position_mm": best.validation_position_mm, "orientation_deg": best.validation_orientation_deg}
-        outcomes.append(SeedOutcome(seed=result.seed, best_epoch=result.best, dead=result.dead, **errors))
+        best = result.history[result.best - 1] if result.best else None
+        outcomes.append(
+            SeedOutcome(
+                seed=result.seed,
+                best_epoch=result.best,
+                position_mm=best.validation_position_mm if best else None,
+                orientation_deg=best.validation_orientation_deg if best else None,
+                dead=result.dead,
+            )
+        )
     return Provenance.of(preparation, trained.recipe.model_dump(mode="json"), trained.seed, tuple(outcomes))
 
 
 def _save(folder: Path, trained: Trained, provenance: Provenance) -> None:
     save_dynamics(folder, trained.dynamics, provenance.model_dump(mode="json"))
-    validation = {**_figures(provenance.chosen), "seeds": {str(o.seed): _figures(o) for o in provenance.seeds}}
+    validation = {**provenance.chosen.errors, "seeds": {str(o.seed): o.errors for o in provenance.seeds}}
     parameters = sum(weights.numel() for weights in trained.dynamics.parameters() if weights.requires_grad)
     write_text(
         folder / "metrics.json", json.dumps({"validation": validation, "parameters": parameters}, indent=1) + "\n"
@@ -114,22 +118,18 @@ def _save(folder: Path, trained: Trained, provenance: Provenance) -> None:
 
 
 def _track(tracked: TrackedRun, trained: Trained, provenance: Provenance, seconds: float) -> None:
-    tracked.metrics({f"validation_{key}": value for key, value in _figures(provenance.chosen).items()})
+    tracked.metrics({f"validation_{key}": value for key, value in provenance.chosen.errors.items()})
     tracked.metrics({"training_s": seconds, "dead_seeds": len(trained.dead_seeds)})
     tracked.history((number, epoch._asdict()) for number, epoch in enumerate(trained.best.history, start=1))
     tracked.tag("recording", provenance.recording)
     tracked.tag("recording.digest", provenance.digest)
 
 
-def _figures(outcome: SeedOutcome) -> Mapping[str, float]:
-    return {"position_mm": outcome.position_mm, "orientation_deg": outcome.orientation_deg}
-
-
 def _table(name: str, provenance: Provenance) -> Table:
     table = Table("seed", "position mm", "orientation °", "best epoch", "", title=f"{name}: errors on validation runs")
     for outcome in provenance.seeds:
         remark = f"dead: {outcome.dead}" if outcome.dead else "the model" if outcome.seed == provenance.seed else ""
-        errors = (f"{outcome.position_mm:.2f}", f"{outcome.orientation_deg:.2f}")
+        errors = [f"{error:.2f}" for error in outcome.errors.values()] or ["", ""]
         table.add_row(str(outcome.seed), *errors, str(outcome.best_epoch), remark)
     for column in table.columns[:4]:
         column.justify = "right"

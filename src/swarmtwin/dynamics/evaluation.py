@@ -1,6 +1,6 @@
 """One-step errors, the floor beneath them, and the distance to an exact mean: pure functions of predictions."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +44,20 @@ class ErrorFigure(NamedTuple):
             float(orientation_deg.std()),
             len(measured),
         )
+
+    @classmethod
+    def pooled(cls, figures: Sequence["ErrorFigure"]) -> "ErrorFigure":
+        """Return the figure over the transitions of several."""
+        weights = np.array([figure.transitions for figure in figures], dtype=float)
+
+        def over_all(means: list[float], spreads: list[float]) -> tuple[float, float]:
+            mean = np.average(means, weights=weights)
+            square = np.average(np.square(means) + np.square(spreads), weights=weights)
+            return float(mean), float(np.sqrt(max(square - mean**2, 0.0)))
+
+        position = over_all([f.position_mm for f in figures], [f.position_sd_mm for f in figures])
+        orientation = over_all([f.orientation_deg for f in figures], [f.orientation_sd_deg for f in figures])
+        return cls(*position, *orientation, int(weights.sum()))
 
 
 class FloorEstimate(NamedTuple):
@@ -103,16 +117,6 @@ def neighbour_floor(dynamics: Dynamics, transitions: Transitions, scored: np.nda
     }
     best = min(figures, key=lambda count: figures[count].position_mm)
     return FloorEstimate(figures[best], best)
-
-
-def by_vehicle(
-    evaluate: Callable[[Dynamics, Transitions], ErrorFigure], dynamics: Dynamics, transitions: Transitions
-) -> dict[str, ErrorFigure]:
-    """Apply `one_step` or another figure to each vehicle that occurs."""
-    return {
-        transitions.vehicles[index]: evaluate(dynamics, transitions.where(transitions.vehicle == index))
-        for index in np.unique(transitions.vehicle)
-    }
 
 
 def _blocks(count: int) -> np.ndarray:

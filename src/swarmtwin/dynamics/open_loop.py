@@ -73,12 +73,6 @@ def summary(runs: Sequence[OpenLoop]) -> OpenLoopFigure:
     return OpenLoopFigure(float(errors.mean()), float(errors.std()), len(errors))
 
 
-def summary_by_vehicle(runs: Sequence[OpenLoop]) -> dict[str, OpenLoopFigure]:
-    """Summarise for each vehicle that occurs."""
-    vehicles = sorted({run.track.vehicle for run in runs})
-    return {vehicle: summary([run for run in runs if run.track.vehicle == vehicle]) for vehicle in vehicles}
-
-
 class _Drives(NamedTuple):
     """The predictable parts of R tracks side by side, filled up with NaN after each one's last step.
 

@@ -11,13 +11,22 @@ from swarmtwin.transitions import Preparation
 
 
 class SeedOutcome(StrictModel):
-    """What came of one seed: its errors on the validation runs at its best epoch, and why it is dead, if it is."""
+    """What came of one seed: its errors on the validation runs at its best epoch, and why it is dead, if it is.
+
+    A seed that diverged at once has no best epoch (0) and no errors.
+    """
 
     seed: int
     best_epoch: int
-    position_mm: float
-    orientation_deg: float
+    position_mm: float | None
+    orientation_deg: float | None
     dead: str | None
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """The errors by name and unit, none for a seed that diverged at once."""
+        named = {"position_mm": self.position_mm, "orientation_deg": self.orientation_deg}
+        return {name: error for name, error in named.items() if error is not None}
 
 
 class Provenance(StrictModel):

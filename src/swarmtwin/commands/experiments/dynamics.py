@@ -14,7 +14,7 @@ import pandas as pd
 from rich.console import Console
 
 from swarmtwin.commands.experiments.model_table import figure_columns, model_table
-from swarmtwin.commands.measurement import Measurement, load_simulation, measure
+from swarmtwin.commands.measurement import Measured, Measurement, load_simulation, measure
 from swarmtwin.dynamics.figures import comparison_figure, runs_figure
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
@@ -79,14 +79,11 @@ def run(options: Options) -> None:
 
 def best_entry(entries: Sequence[Entry]) -> Entry:
     """Return the model with the smallest errors on the validation runs, position and orientation weighed alike."""
-    position = min(entry.provenance.chosen.position_mm for entry in entries)
-    orientation = min(entry.provenance.chosen.orientation_deg for entry in entries)
-
-    def score(entry: Entry) -> float:
-        chosen = entry.provenance.chosen
-        return chosen.position_mm / position + chosen.orientation_deg / orientation
-
-    return min(entries, key=score)
+    lowest = {
+        name: min(entry.provenance.chosen.errors[name] for entry in entries)
+        for name in ("position_mm", "orientation_deg")
+    }
+    return min(entries, key=lambda entry: sum(entry.provenance.chosen.errors[name] / lowest[name] for name in lowest))
 
 
 def _entries(options: Options) -> list[Entry]:
@@ -96,14 +93,13 @@ def _entries(options: Options) -> list[Entry]:
     folders = sorted(folder for folder in options.models.iterdir() if (folder / "model.yaml").exists())
     if not folders:
         raise UserError(f"{options.models} holds no model folder: run `dvc repro` first")
-    recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}
+    measured = {
+        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
+    }
     entries = []
     for folder in folders:
         dynamics, provenance = load_simulation(folder, options.robot)
-        measurements = {
-            name: measure(dynamics, provenance, recording, options.recordings[name])
-            for name, recording in recordings.items()
-        }
+        measurements = {name: measure(dynamics, provenance, each) for name, each in measured.items()}
         parameters = sum(weights.numel() for weights in dynamics.parameters())
         entries.append(Entry(folder.name, folder, parameters, provenance, measurements))
     return sorted(entries, key=_train_vehicle_position_mm, reverse=True)
