@@ -148,6 +148,15 @@ def test_a_seed_whose_final_relu_died_is_flagged_and_not_chosen(transitions):
     assert trained.seed == 0
 
 
+def test_a_dead_seed_is_replaced_by_the_next_one(transitions):
+    settings = transitions, config("fcnn", steps=150), recipe(batch_size=128)
+    trained = train(*settings, [5], processes=1, reserve=3)
+    assert [result.seed for result in trained.results] == [5, 6]
+    assert trained.seed == 6
+    with pytest.raises(UserError, match="every seed is dead"):
+        train(*settings, [5], processes=1)
+
+
 def test_dead_outputs_are_those_that_could_vary_and_do_not():
     random = np.random.default_rng(0)
     inputs = random.uniform(-1, 1, (1000, 2))

@@ -1,16 +1,16 @@
 """What a person sees while seeds train: one bar each, with its errors on the validation runs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from swarmtwin.dynamics.progress import Epoch, EpochReport
 
 
 @contextmanager
-def training_bars(name: str, seeds: Sequence[int], epochs: int) -> Iterator[EpochReport]:
+def training_bars(name: str, epochs: int) -> Iterator[EpochReport]:
     """Show a bar for each seed while the block trains; give the function that moves them."""
     columns = (
         TextColumn("{task.description}"),
@@ -20,9 +20,11 @@ def training_bars(name: str, seeds: Sequence[int], epochs: int) -> Iterator[Epoc
         TextColumn("{task.fields[errors]}"),
     )
     with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks = {seed: bars.add_task(f"{name}, seed {seed}", total=epochs, errors="") for seed in seeds}
+        tasks: dict[int, TaskID] = {}
 
         def report(seed: int, number: int, epoch: Epoch) -> None:
+            if seed not in tasks:
+                tasks[seed] = bars.add_task(f"{name}, seed {seed}", total=epochs, errors="")
             errors = f"{epoch.validation_position_mm:.2f} mm  {epoch.validation_orientation_deg:.2f}°"
             bars.update(tasks[seed], completed=number, errors=errors)
 

@@ -80,8 +80,8 @@ def run(options: Options) -> None:
 def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:
     seeds = range(options.seed, options.seed + options.seeds)
     epochs = options.recipe.for_model(config, len(transitions.part("train"))).epochs or 0
-    with training_bars(f"{options.robot.name} {config.name}", seeds, epochs) as report:
-        return train(transitions, config, options.recipe, seeds, checkpoints, report)
+    with training_bars(f"{options.robot.name} {config.name}", epochs) as report:
+        return train(transitions, config, options.recipe, seeds, checkpoints, report, reserve=len(seeds))
 
 
 def _provenance(trained: Trained, preparation: Preparation) -> Provenance:

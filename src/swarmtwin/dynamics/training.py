@@ -54,8 +54,11 @@ def train(
     checkpoints: Path | None = None,
     report: EpochReport | None = None,
     processes: int | None = None,
+    reserve: int = 0,
 ) -> Trained:
     """Train each seed on the training split; the best live one on the validation split is the model.
+
+    Dead seeds are replaced by those that follow the last one, at most `reserve` of them, and stay in the results.
 
     Args:
         transitions: measured or synthetic transitions with their splits.
@@ -65,6 +68,7 @@ def train(
         checkpoints: a folder from which interrupted seeds continue, written after each epoch.
         report: called after each epoch of each seed.
         processes: seeds trained at a time; by default as many as there are cores, or one where that is quicker.
+        reserve: how many further seeds may be tried in place of dead ones.
 
     Raises:
         UserError: too little data, values that are not finite, or every seed is dead.
@@ -72,12 +76,17 @@ def train(
     recipe = recipe.for_model(config, len(transitions.part("train")))
     if checkpoints:
         checkpoints.mkdir(parents=True, exist_ok=True)
-    files = [checkpoints / f"seed-{seed}.ckpt" if checkpoints else None for seed in seeds]
-    jobs = [Job(transitions, config, recipe, seed, file) for seed, file in zip(seeds, files, strict=True)]
-    results = fit_all(jobs, report, processes)
-    for result in results:
-        if result.dead:
+    results: list[SeedResult] = []
+    waiting, spare = list(seeds), list(range(seeds[-1] + 1, seeds[-1] + 1 + reserve))
+    while waiting:
+        files = [checkpoints / f"seed-{seed}.ckpt" if checkpoints else None for seed in waiting]
+        jobs = [Job(transitions, config, recipe, seed, file) for seed, file in zip(waiting, files, strict=True)]
+        tried = fit_all(jobs, report, processes)
+        results += tried
+        dead = [result for result in tried if result.dead]
+        for result in dead:
             log.warning("%s, seed %d is dead: %s", config.name, result.seed, result.dead)
+        waiting, spare = spare[: len(dead)], spare[len(dead) :]
     best = _best_live(config, results)
     weights = {name: torch.from_numpy(values) for name, values in best.weights.items()}
     dynamics = Dynamics.with_weights(transitions.robot, config, weights)
