@@ -12,6 +12,7 @@ from swarmtwin.recordings.tracks import ROW_REASONS
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import SPLITS, Preparation, SplitOptions, from_recording, split_by_run
 from swarmtwin.transitions.extraction import REASONS
+from swarmtwin.transitions.figures import coverage_figure
 from swarmtwin.transitions.preparation import describe, save_preparation
 
 
@@ -40,6 +41,7 @@ def run(options: Options) -> None:
         name = options.recording.resolve().name
         preparation = describe(recording, name, transitions, counts, options.split.fractions, options.split.seed)
         save_preparation(folder, transitions, preparation)
+        coverage_figure(transitions).savefig(folder / "coverage.png")
     for table in summary(preparation):
         Console().print(table)
 

@@ -1,10 +1,7 @@
 """Pictures of dynamics models: runs in the arena, training, one-step scatter, and errors against the floor."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,23 +10,9 @@ from matplotlib.patches import Rectangle
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.fitting import SeedResult
 from swarmtwin.dynamics.open_loop import OpenLoop
+from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.robot import Arena
 
-MEASURED, PREDICTED, FLOOR = "#222222", "#d1495b", "#2e86ab"
-STYLE: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#888888",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e6e6e6",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "lines.linewidth": 1.4,
-    "figure.dpi": 120,
-}
 COMPONENTS = (("forward", "mm", 1.0), ("left", "mm", 1.0), ("turn", "°", 180 / np.pi))
 
 
@@ -42,7 +25,7 @@ def runs_figure(runs: Sequence[OpenLoop], arena: Arena, most: int = 6) -> Figure
     shown = [known[rank] for rank in np.linspace(0, len(known) - 1, min(most, len(known))).round().astype(int)]
     columns = min(3, max(1, len(shown)))
     rows = max(1, -(-len(shown) // columns))
-    with _style():
+    with style():
         figure = Figure(figsize=(3 * columns, 3.1 * rows + 0.3), layout="constrained")
         panels = list(figure.subplots(rows, columns, squeeze=False).flat)
         for panel, run in zip(panels, shown, strict=False):
@@ -56,7 +39,7 @@ def runs_figure(runs: Sequence[OpenLoop], arena: Arena, most: int = 6) -> Figure
 
 def history_figure(results: Sequence[SeedResult]) -> Figure:
     """Draw training and validation errors of every seed over the epochs; a dot marks the epoch that was kept."""
-    with _style():
+    with style():
         figure = Figure(figsize=(8, 3), layout="constrained")
         panels = figure.subplots(1, 2)
         for panel, name, unit in zip(panels, ("position", "orientation"), ("mm", "deg"), strict=True):
@@ -72,7 +55,7 @@ def history_figure(results: Sequence[SeedResult]) -> Figure:
 def scatter_figure(predicted: np.ndarray, measured: np.ndarray, most: int = 5000) -> Figure:
     """Draw predicted against measured displacements (N, 3), one panel a component; of many, `most` evenly spaced."""
     chosen = np.linspace(0, len(measured) - 1, min(most, len(measured))).astype(int)
-    with _style():
+    with style():
         figure = Figure(figsize=(9, 3.3), layout="constrained")
         for column, (panel, (name, unit, factor)) in enumerate(zip(figure.subplots(1, 3), COMPONENTS, strict=True)):
             x, y = factor * measured[chosen, column], factor * predicted[chosen, column]
@@ -86,7 +69,7 @@ def scatter_figure(predicted: np.ndarray, measured: np.ndarray, most: int = 5000
 def comparison_figure(errors: Mapping[str, ErrorFigure], floor: ErrorFigure, floor_is_estimate: bool) -> Figure:
     """Draw the one-step errors of several models, each as a bar that starts at 0, with the floor as a line."""
     names = list(errors)
-    with _style():
+    with style():
         figure = Figure(figsize=(8, 0.32 * len(names) + 1.2), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for panel, (quantity, unit) in zip(panels, (("position", "mm"), ("orientation", "deg")), strict=True):
@@ -103,10 +86,6 @@ def comparison_figure(errors: Mapping[str, ErrorFigure], floor: ErrorFigure, flo
         panels[0].invert_yaxis()
         figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center")
     return figure
-
-
-def _style() -> AbstractContextManager[None]:
-    return mpl.rc_context(STYLE)
 
 
 def _draw_run(panel: Axes, run: OpenLoop, arena: Arena) -> None:

@@ -45,6 +45,7 @@ class Chapter(NamedTuple):
 
 
 PICTURES = {
+    "coverage": "What was recorded: the first runs, the commands, and the displacements that followed",
     "errors_train_vehicle": "One-step errors on the vehicle that was learned from, on runs the models have not seen",
     "errors_other_vehicle": "One-step errors on another vehicle of the same robot",
     "runs_crnet": "CR-Net: whole runs predicted from the first pose and the commands alone",
@@ -73,15 +74,20 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     comparison = artifacts / "comparison" / robot_name
     if not (comparison / "table.csv").exists():
         raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
+    folders = (artifacts / "transitions" / robot_name, comparison)
     best = read_description(comparison / "best")
     return Chapter(
         robot=best.robot,
-        preparation=load_preparation(artifacts / "transitions" / robot_name),
+        preparation=load_preparation(folders[0]),
         table=pd.read_csv(comparison / "table.csv"),
         best=best.model["name"],
         champion=registry.champion(f"{robot_name}-dynamics"),
-        pictures={name: comparison / f"{name}.png" for name in PICTURES if (comparison / f"{name}.png").exists()},
+        pictures={name: folder / f"{name}.png" for name in PICTURES for folder in folders if _holds(folder, name)},
     )
+
+
+def _holds(folder: Path, picture: str) -> bool:
+    return (folder / f"{picture}.png").exists()
 
 
 def _recordings_table(chapters: list[Chapter]) -> Table:

@@ -1,0 +1,40 @@
+"""A picture of what was recorded: where, with which commands, and which displacements followed."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from swarmtwin.plotting import FLOOR, MEASURED, style
+from swarmtwin.transitions.transitions import Transitions
+
+MOST_DOTS = 4000
+MOST_RUNS = 40
+
+
+def coverage_figure(transitions: Transitions) -> Figure:
+    """Draw some runs in the arena, the first two numbers of the commands, and the displacements that followed."""
+    chosen = np.linspace(0, len(transitions) - 1, min(MOST_DOTS, len(transitions))).astype(int)
+    columns = list(transitions.robot.command.items())
+    with style():
+        figure = Figure(figsize=(10, 3.2), layout="constrained")
+        runs, commands, displacements = figure.subplots(1, 3)
+        _draw_runs(runs, transitions)
+        command = transitions.command[chosen]
+        second = command[:, 1] if len(columns) > 1 else np.zeros(len(chosen))
+        commands.plot(command[:, 0], second, ".", color=FLOOR, markersize=2, alpha=0.5)
+        labels = [f"{name}, {column.unit}" for name, column in columns[:2]]
+        commands.set(title="commands", xlabel=labels[0], ylabel=labels[1] if len(labels) > 1 else "")
+        moved = transitions.displacement[chosen]
+        turn_deg = np.degrees(moved[:, 2])
+        displacements.plot(turn_deg, moved[:, 0], ".", color=FLOOR, markersize=2, alpha=0.5)
+        displacements.set(title="displacements", xlabel="turn, °", ylabel="forward, mm")
+    return figure
+
+
+def _draw_runs(panel: Axes, transitions: Transitions) -> None:
+    for run in np.unique(transitions.run)[:MOST_RUNS]:
+        for vehicle in np.unique(transitions.vehicle[transitions.run == run]):
+            pose = transitions.pose[(transitions.run == run) & (transitions.vehicle == vehicle)]
+            panel.plot(pose[:, 0], pose[:, 1], color=MEASURED, linewidth=0.6, alpha=0.6)
+    panel.set(title=f"the first {min(MOST_RUNS, len(transitions.runs))} runs", xlabel="x, mm", ylabel="y, mm")
+    panel.set_aspect("equal")
