@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -11,7 +12,6 @@ from swarmtwin.commands.measurement import Measured, Measurement, load_simulatio
 from swarmtwin.commands.sources import Vehicles, read_vehicles
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.figures import runs_figure, scatter_figure
-from swarmtwin.dynamics.open_loop import OpenLoopFigure
 from swarmtwin.files import new_folder, write_text
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.tracking import tracked_run
@@ -51,37 +51,37 @@ def run(options: Options) -> None:
 
 
 def table(name: str, measurement: Measurement) -> Table:
-    """Return a table a person reads: the figures of each vehicle, and below them those over all."""
-    exact = measurement.overall.floor_kind == "exact"
-    title = f"{name}{' (held-out runs)' if measurement.held_out else ''}"
-    floor = "floor" if exact else "floor (estimate)"
-    shown = Table("vehicle", "transitions", "one-step", floor, "model error", "open loop, RMSE", title=title)
+    """Return a table a person reads: the figures of each vehicle, and of all; mean ± standard deviation."""
+    title = f"{name}{', held-out runs' if measurement.held_out else ''}"
+    floor = "floor" if measurement.overall.floor_kind == "exact" else "floor, estimate"
+    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title)
+    shown.add_column("\nvehicle", no_wrap=True)
+    for heading in (
+        "transi-\ntions",
+        "one-step\nmm, °",
+        f"{floor}\nmm, °",
+        "model error\nmm, °",
+        "open loop\nmm",
+        "\nruns",
+    ):
+        shown.add_column(heading, justify="right", no_wrap=True)
     rows = list(measurement.vehicles.items())
     if len(rows) > 1:
         rows.append(("all", measurement.overall))
     for vehicle, figures in rows:
-        errors = (figures.one_step, figures.floor, figures.model_error)
-        cells = [in_two_lines(errors_text(figure)) if figure else "" for figure in errors]
-        shown.add_row(vehicle, str(figures.one_step.transitions), *cells, in_two_lines(loop_text(figures.open_loop)))
-    for column in shown.columns[1:]:
-        column.justify = "right"
+        errors = [_errors_text(figure) for figure in (figures.one_step, figures.floor, figures.model_error)]
+        loop = figures.open_loop
+        loop_cells = (f"{loop.rmse_mm:.0f} ± {loop.rmse_sd_mm:.0f}", str(loop.runs)) if loop else ("", "")
+        shown.add_row(vehicle, str(figures.one_step.transitions), *errors, *loop_cells)
+    shown.caption = "mean ± standard deviation, position above orientation"
     return shown
 
 
-def errors_text(errors: ErrorFigure) -> str:
-    """Return errors as the paper's tables write them: mean ± standard deviation."""
-    position = f"{errors.position_mm:.2f} ± {errors.position_sd_mm:.2f} mm"
-    return f"{position}, {errors.orientation_deg:.2f} ± {errors.orientation_sd_deg:.2f}°"
-
-
-def loop_text(loop: OpenLoopFigure | None) -> str:
-    """Return an open-loop error, mean ± standard deviation over runs; nothing where no run could be predicted."""
-    return f"{loop.rmse_mm:.0f} ± {loop.rmse_sd_mm:.0f} mm, {loop.runs} runs" if loop else ""
-
-
-def in_two_lines(text: str) -> str:
-    """Break errors after the first figure, for narrow columns."""
-    return text.replace(", ", "\n", 1)
+def _errors_text(figure: ErrorFigure | None) -> str:
+    if figure is None:
+        return ""
+    position = f"{figure.position_mm:.2f} ± {figure.position_sd_mm:.2f}"
+    return f"{position}\n{figure.orientation_deg:.2f} ± {figure.orientation_sd_deg:.2f}"
 
 
 def _draw(folder: Path, measurement: Measurement, arena: Arena) -> None:
