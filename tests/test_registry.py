@@ -17,7 +17,7 @@ def publish(workplace):
         (folder / "model.yaml").write_text(text)
         with tracked_run("dynamics", text, {}) as run:
             source = run.folder(folder, "model")
-        return registry.register(NAME, folder, source, run.run_id, {"position_mm": 3.21})
+        return registry.register(NAME, folder, source, run.run_id, {"model": "mlp"})
 
     return register
 
@@ -27,7 +27,7 @@ def test_the_newest_version_is_the_challenger_and_its_files_come_back(publish):
     assert (first.number, second.number) == (1, 2)
     assert registry.find_version(f"models:/{NAME}@challenger").number == 2
     assert (registry.model_folder(f"models:/{NAME}/1") / "model.yaml").read_text() == "one"
-    assert registry.find_version(f"models:/{NAME}/1").tags["position_mm"] == "3.21"
+    assert registry.find_version(f"models:/{NAME}/1").tags["model"] == "mlp"
     assert registry.champion(NAME) is None
 
 

@@ -36,7 +36,7 @@ class Version:
             return Path(mlflow.artifacts.download_artifacts(self.source))
 
 
-def register(name: str, folder: Path, source: str, run_id: str | None, figures: Mapping[str, float]) -> Version:
+def register(name: str, folder: Path, source: str, run_id: str | None, tags: Mapping[str, str]) -> Version:
     """Register the model in `folder`, kept at the URI `source`, as a new version of `name` and as its challenger.
 
     Args:
@@ -44,9 +44,9 @@ def register(name: str, folder: Path, source: str, run_id: str | None, figures: 
         folder: the model as its command left it; its digest identifies the version.
         source: where MLflow keeps the copy.
         run_id: the run that made it.
-        figures: kept as the version's tags, to be read in the UI.
+        tags: what people should read beside the version's number in the UI: the kind of model, its errors.
     """
-    tags = {**{key: f"{value:.4g}" for key, value in figures.items()}, "digest": folder_digest(folder)}
+    tags = {**tags, "digest": folder_digest(folder)}
     with store_errors():
         use_store()
         client = mlflow.MlflowClient()

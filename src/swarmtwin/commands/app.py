@@ -7,7 +7,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import hydra
@@ -43,7 +43,7 @@ def run_command(name: str, module_name: str, arguments: list[str]) -> int:
     except UserError as error:
         return _report(name, str(error), FAILED)
     except (HydraException, OmegaConfBaseException) as error:
-        return _report(name, explain(error, config_name), MISUSED)
+        return _report(name, explain(error, config_name, arguments), MISUSED)
     except OSError as error:
         if error.errno not in _SYSTEM_FAULTS:
             raise
@@ -78,8 +78,11 @@ def _task(module: Any, failures: list[Exception]) -> Callable[[DictConfig], Any]
     return task
 
 
-def explain(error: Exception, config_name: str) -> str:
-    """Say in one line what a Hydra or OmegaConf error means and what to do, naming the option probably meant."""
+def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str:
+    """Say in one line what a Hydra or OmegaConf error means and what to do, naming the option probably meant.
+
+    `arguments` tell which choices of groups the options belong to.
+    """
     text = str(error)
     if isinstance(error, MissingMandatoryValue):
         return f"option {error.full_key!r} is missing: add {error.full_key}=..."
@@ -91,17 +94,20 @@ def explain(error: Exception, config_name: str) -> str:
         return text.splitlines()[0]
     if unknown := re.search(r"Could not override '([^']+)'", text):
         option = unknown.group(1)
-        return f"unknown option {option!r}: {near_miss(option, _known_options(config_name, option))}"
+        return f"unknown option {option!r}: {near_miss(option, _known_options(config_name, option, arguments))}"
     return " ".join(text.split())
 
 
-def _known_options(config_name: str, option: str) -> list[str]:
+def _known_options(config_name: str, option: str, arguments: Sequence[str]) -> list[str]:
     """List the options of a command beside `option`: those at the same depth and under the same parent."""
+    shipped = {f"{path.parent.name}={path.stem}" for path in config_folder().glob("*/*.yaml")}
     with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = hydra.compose(config_name)
+        choices = [choice for choice in arguments if choice in shipped and choice.partition("=")[0] in config]
+        config = hydra.compose(config_name, choices)
     parent = option.rpartition(".")[0]
     if parent and OmegaConf.select(config, parent) is None:
-        return _known_options(config_name, parent)
+        return _known_options(config_name, parent, arguments)
     node = OmegaConf.select(config, parent) if parent else config
     prefix = f"{parent}." if parent else ""
     return [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []

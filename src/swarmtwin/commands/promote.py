@@ -65,12 +65,12 @@ def _find(name: str, candidate: str, robot: Robot) -> registry.Version:
             raise UserError(f"{candidate} is no dynamics model of robot {robot.name!r}: add robot=...")
         return version
     folder = registry.model_folder(candidate)
-    _, provenance = load_simulation(folder, robot)
+    dynamics, provenance = load_simulation(folder, robot)
     if known := registry.version_of(name, folder):
         return known
     with tracked_run("dynamics", f"register {folder}", {"candidate": candidate}, [folder], provenance.seed) as tracked:
         kept = tracked.folder(folder, "model")
-    return registry.register(name, folder, kept, tracked.run_id, provenance.chosen.errors)
+    return registry.register(name, folder, kept, tracked.run_id, provenance.tags(dynamics.config.name))
 
 
 def _judge(
@@ -80,7 +80,13 @@ def _judge(
     simulation, provenance = load_simulation(candidate.folder(), robot)
     unseen = provenance.unseen_part(recording)
     rival, rival_provenance = load_simulation(incumbent.folder(), robot) if incumbent else (None, provenance)
-    transitions, _ = from_recording(_common(unseen, rival_provenance.unseen_part(recording)))
+    common = _common(unseen, rival_provenance.unseen_part(recording))
+    if not common.tracks:
+        raise UserError(
+            f"{candidate} and {incumbent} were trained on recording {provenance.recording!r}, and no run of it is unseen "
+            "by both: add recording=... with another one"
+        )
+    transitions, _ = from_recording(common)
     usual = np.broadcast_to(transitions.displacement.mean(axis=0), (len(transitions), 3))
     rival_errors = _errors(predict(rival, transitions) if rival else usual, transitions)
     return gate.judge(_errors(predict(simulation, transitions), transitions), rival_errors, transitions.run)

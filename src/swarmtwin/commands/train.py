@@ -71,7 +71,7 @@ def run(options: Options) -> None:
         registered = "not registered"
         if options.register_model:
             registered_name = f"{options.robot.name}-dynamics"
-            version = registry.register(registered_name, output, kept, tracked.run_id, provenance.chosen.errors)
+            version = registry.register(registered_name, output, kept, tracked.run_id, provenance.tags(config.name))
             registered = f"registered as {version}, its challenger"
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False)

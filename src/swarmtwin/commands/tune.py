@@ -9,6 +9,7 @@ from typing import Annotated, Any, Self
 import optuna
 import yaml
 from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
 from pydantic import Field, model_validator
 from rich.console import Console
 from rich.table import Table
@@ -24,6 +25,8 @@ from swarmtwin.tracking import parent_run, tracked_run
 from swarmtwin.transitions import SplitOptions
 
 logger = logging.getLogger(__name__)
+
+COUNTED = (TrialState.COMPLETE, TrialState.RUNNING)
 
 
 class Range(StrictModel):
@@ -162,6 +165,7 @@ def _search(options: Options, number: int) -> None:
     )
 
     def objective(trial: optuna.Trial) -> float:
+        _claim(trial, options.trials)
         values = {name: found.suggest(trial, name) for name, found in options.space.items()}
         config, recipe = _configured(options, values)
         settings = {"model": config.model_dump(mode="json"), "recipe": recipe.model_dump(mode="json")}
@@ -178,15 +182,29 @@ def _search(options: Options, number: int) -> None:
             trial.set_user_attr(error, figure)
         return trained.best.validation_loss
 
-    states = (optuna.trial.TrialState.COMPLETE, optuna.trial.TrialState.RUNNING)
-    enough = optuna.study.MaxTrialsCallback(options.trials, states=states)
     study = _study(options)
+    failed_before = len(study.get_trials(states=[TrialState.FAIL]))
+
+    def stop_when_complete(study: optuna.Study, trial: optuna.trial.FrozenTrial) -> None:
+        """Stop at as many trials as asked for, finished or under way; or at as many failures: more would fail too."""
+        failed = len(study.get_trials(states=[TrialState.FAIL])) - failed_before
+        if max(len(study.get_trials(states=COUNTED)), failed) >= options.trials:
+            study.stop()
+
     if len(_finished(study)) < options.trials:
-        study.optimize(objective, callbacks=[enough], catch=(UserError,))
+        study.optimize(objective, callbacks=[stop_when_complete], catch=(UserError,))
+
+
+def _claim(trial: optuna.Trial, trials: int) -> None:
+    """Give a trial up that another process's, started at the same moment, makes one too many."""
+    ahead = [other for other in trial.study.get_trials(states=COUNTED) if other.number < trial.number]
+    if len(ahead) >= trials:
+        trial.study.stop()
+        raise optuna.TrialPruned
 
 
 def _finished(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
-    return study.get_trials(states=[optuna.trial.TrialState.COMPLETE])
+    return study.get_trials(states=[TrialState.COMPLETE])
 
 
 def _overrides(options: Options, values: Mapping[str, Any]) -> str:

@@ -80,6 +80,10 @@ class Provenance(StrictModel):
         """The outcome of the seed that became the model."""
         return next(outcome for outcome in self.seeds if outcome.seed == self.seed)
 
+    def tags(self, model: str) -> dict[str, str]:
+        """Return what people should read beside a registered version: the kind of model and its validation errors."""
+        return {"model": model, **{name: f"{error:.4g}" for name, error in self.chosen.errors.items()}}
+
     def unseen_part(self, recording: Recording) -> Recording:
         """Return what the model has not seen of a recording: of its own recording the test runs, else all of it.
 
