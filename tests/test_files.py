@@ -62,9 +62,33 @@ def test_a_folder_of_the_users_own_is_never_replaced(tmp_path):
     assert (tmp_path / "thesis" / "chapter1").read_text() == "years of work"
 
 
+def test_what_another_command_made_is_never_replaced(tmp_path):
+    fill(tmp_path / "out")
+    refused = pytest.raises(UserError, match="was made by swarmtwin test, so overwrite=true leaves it alone")
+    with refused, new_folder(tmp_path / "out", "other", overwrite=True):
+        pass
+    assert (tmp_path / "out" / "content").read_text() == "new"
+
+
+@pytest.mark.parametrize(("output", "what"), [("in", "replace"), (".", "replace"), ("in/side", "lie inside")])
+def test_an_output_keeps_clear_of_the_inputs(tmp_path, output, what):
+    (tmp_path / "in").mkdir()
+    with pytest.raises(UserError, match=f"would {what} the input"):
+        fill(tmp_path / output, overwrite=True, inputs=[tmp_path / "in"])
+    assert list((tmp_path / "in").iterdir()) == []
+
+
+def test_a_kill_between_the_two_renames_of_a_replacement_is_mended(tmp_path):
+    fill(tmp_path / "out", "former")
+    (tmp_path / "out").rename(tmp_path / ".out.former.partial")
+    with pytest.raises(UserError, match="already holds something"):
+        fill(tmp_path / "out")
+    assert (tmp_path / "out" / "content").read_text() == "former"
+
+
 def test_a_file_in_the_way_is_named(tmp_path):
     (tmp_path / "out").write_text("mine")
-    with pytest.raises(UserError, match="is a file: name a folder"):
+    with pytest.raises(UserError, match="is not a folder: name another"):
         fill(tmp_path / "out")
 
 

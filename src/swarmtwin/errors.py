@@ -13,4 +13,4 @@ def near_miss(word: str, known: Iterable[str]) -> str:
     known = sorted(known)
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     meant = f"did you mean {close[0]!r}? " if close else ""
-    return f"{meant}known: {', '.join(known)}"
+    return f"{meant}known: {', '.join(known) or 'none'}"

@@ -4,7 +4,7 @@ import contextlib
 import fcntl
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +16,29 @@ PROVENANCE = "provenance.json"
 
 @contextlib.contextmanager
 def new_folder(
-    path: Path, command: str, config: dict[str, Any] | None = None, overwrite: bool = False, keep_partial: bool = False
+    path: Path,
+    command: str,
+    config: dict[str, Any] | None = None,
+    overwrite: bool = False,
+    keep_partial: bool = False,
+    inputs: Sequence[Path] = (),
 ) -> Iterator[Path]:
     """Give a folder beside `path` to write into; rename it to `path` when the block ends without an exception.
 
     Every folder made here holds `provenance.json` (command, version, config). `overwrite` replaces only a folder that
-    holds one, so that nothing of the user's is ever deleted. With `keep_partial` an interrupted block leaves its
-    unfinished folder aside and the next call continues in it: the caller keeps its checkpoints there.
+    the same command made, so that nothing else of the user's is ever deleted. With `keep_partial` an interrupted block
+    leaves its unfinished folder aside and the next call continues in it: the caller keeps its checkpoints there.
 
     Raises:
-        UserError: `path` is taken, or another process is writing it.
+        UserError: `path` is taken, lies in or around one of the `inputs`, or another process is writing it.
     """
     path = Path(path).absolute()
-    _check_free(path, overwrite)
+    check_output(path, command, overwrite, inputs)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.partial")
     with _lock(path):
+        _restore_interrupted_replacement(path)
+        check_output(path, command, overwrite, inputs)
         if partial.exists() and not keep_partial:
             shutil.rmtree(partial)
         partial.mkdir(exist_ok=True)
@@ -43,6 +50,8 @@ def new_folder(
         except BaseException:
             if not keep_partial:
                 shutil.rmtree(partial, ignore_errors=True)
+            if path.is_dir() and not any(path.iterdir()):
+                path.rmdir()
             raise
 
 
@@ -56,15 +65,42 @@ def write_text(path: Path, text: str) -> None:
         aside.unlink(missing_ok=True)
 
 
-def _check_free(path: Path, overwrite: bool) -> None:
-    if path.is_file():
-        raise UserError(f"output {path} is a file: name a folder")
+def check_output(path: Path, command: str, overwrite: bool, inputs: Sequence[Path] = ()) -> None:
+    """Check that `command` may write its output folder to `path`.
+
+    Raises:
+        UserError: it may not: see `new_folder`.
+    """
+    for folder in inputs:
+        _check_apart(path, folder)
+    for place in (path, *path.parents):
+        if place.exists() and not place.is_dir():
+            raise UserError(f"output {path}: {place} is not a folder: name another")
     if not path.exists() or not any(path.iterdir()):
         return
     if not overwrite:
         raise UserError(f"output folder {path} already holds something: choose another, or add overwrite=true")
-    if not (path / PROVENANCE).exists():
+    made_by = _made_by(path)
+    if made_by is None:
         raise UserError(f"output folder {path} was not made by swarmtwin, so overwrite=true leaves it alone")
+    if made_by != command:
+        raise UserError(f"output folder {path} was made by swarmtwin {made_by}, so overwrite=true leaves it alone")
+
+
+def _check_apart(output: Path, given: Path) -> None:
+    """Check that an output would neither replace an input nor change what it holds."""
+    output, given = output.resolve(), given.resolve()
+    if given.is_relative_to(output):
+        raise UserError(f"output {output} would replace the input {given}: choose another folder")
+    if output.is_relative_to(given):
+        raise UserError(f"output {output} would lie inside the input {given}: choose another folder")
+
+
+def _made_by(folder: Path) -> str | None:
+    try:
+        return str(json.loads((folder / PROVENANCE).read_text())["command"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 @contextlib.contextmanager
@@ -81,13 +117,20 @@ def _lock(path: Path) -> Iterator[None]:
             lock_file.unlink(missing_ok=True)
 
 
+def _former(path: Path) -> Path:
+    return path.with_name(f".{path.name}.former.partial")
+
+
 def _replace_folder(new: Path, path: Path) -> None:
-    if not path.exists():
-        new.replace(path)
-        return
-    old = path.with_name(f".{path.name}.old.partial")
-    if old.exists():
-        shutil.rmtree(old)
-    path.replace(old)
+    if path.exists():
+        path.replace(_former(path))
     new.replace(path)
-    shutil.rmtree(old)
+    shutil.rmtree(_former(path), ignore_errors=True)
+
+
+def _restore_interrupted_replacement(path: Path) -> None:
+    """Put the former output back, should a kill have come between the two renames of its replacement."""
+    former = _former(path)
+    if former.exists() and not path.exists():
+        former.replace(path)
+    shutil.rmtree(former, ignore_errors=True)

@@ -4,7 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarmtwin.errors import UserError
+
 RESAMPLES = 2000
+FEWEST_RUNS = 6
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,13 @@ def judge(candidate: Errors, incumbent: Errors, run: np.ndarray, seed: int = 0) 
     `run` (N,) says which run each transition is from: runs, not transitions, are independent.
     Each model's error is the mean over position and orientation, each relative to the incumbent's. The candidate passes
     if the whole 95 % interval of the change lies below zero.
+
+    Raises:
+        UserError: there are fewer than 6 runs, too few for an interval.
     """
+    runs = len(np.unique(run))
+    if runs < FEWEST_RUNS:
+        raise UserError(f"{runs} held-out runs are too few to judge by: record at least {FEWEST_RUNS}")
     change = 0.5 * (
         (candidate.position_mm - incumbent.position_mm) / incumbent.position_mm.mean()
         + (candidate.orientation_deg - incumbent.orientation_deg) / incumbent.orientation_deg.mean()

@@ -16,6 +16,7 @@ RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
 SituationPart = Literal["command", "previous_command", "pose", "elapsed_s", "duration_s"]
 Kinematics = Literal["differential_drive", "unicycle", "tail_fin"]
 Positive = Annotated[float, Field(gt=0)]
+Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 
 
 def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
@@ -30,7 +31,7 @@ Bounds = Annotated[tuple[float, float], AfterValidator(_increasing)]
 class StrictModel(BaseModel):
     """A typed piece of configuration: unknown fields and wrong types are errors, and it never changes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
 
     @classmethod
     def parse(cls, content: Any, where: str) -> Self:
@@ -45,9 +46,21 @@ class StrictModel(BaseModel):
             first = error.errors()[0]
             field = ".".join(str(part) for part in first["loc"]) or "content"
             if first["type"] == "extra_forbidden":
-                raise UserError(f"{where}: unknown field {field!r}: {near_miss(field, cls.model_fields)}") from None
+                *parents, unknown = (str(part) for part in first["loc"])
+                known = _field_names(cls, parents)
+                raise UserError(f"{where}: unknown field {field!r}: {near_miss(unknown, known)}") from None
             got = "" if first["type"] in ("missing", "value_error") else f", got {first['input']!r}"
             raise UserError(f"{where}: field {field!r}: {first['msg']}{got}") from None
+
+
+def _field_names(model: type[BaseModel], parents: list[str]) -> list[str]:
+    """Return the names of the fields that stand under `parents` in a model; none where those are no model."""
+    for parent in parents:
+        field = model.model_fields.get(parent)
+        if field is None or not (isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)):
+            return []
+        model = field.annotation
+    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 class Arena(StrictModel):

@@ -1,6 +1,7 @@
 """Every run in MLflow: its configuration, the code's commit, its inputs' DVC hashes, its seed, metrics and plots."""
 
 import atexit
+import logging
 import os
 import subprocess
 import time
@@ -22,6 +23,8 @@ from omegaconf import DictConfig
 from sqlalchemy.exc import SQLAlchemyError
 
 from swarmtwin.errors import UserError
+
+logger = logging.getLogger(__name__)
 
 Experiment = Literal["dynamics", "generator", "diagnosis", "policy", "transfer", "deployment"]
 PARENT_RUN = "SWARMTWIN_PARENT_RUN"
@@ -61,7 +64,8 @@ class TrackedRun:
 
 
 def use_store() -> None:
-    """Point MLflow at its store."""
+    """Point MLflow at its store, and let it speak up only when something is wrong."""
+    logging.getLogger("mlflow").setLevel(logging.WARNING)
     mlflow.set_tracking_uri(store_uri())
 
 
@@ -199,13 +203,16 @@ def dvc_hash(path: Path) -> str | None:
 
 
 def _tracked_outputs(repository: Path) -> Iterator[tuple[Path, str]]:
-    for file in repository.glob("*.dvc"):
-        if file.is_file():
-            yield from _outputs(yaml.safe_load(file.read_text()), repository)
-    lock = repository / "dvc.lock"
-    if lock.exists():
-        for stage in (yaml.safe_load(lock.read_text()) or {}).get("stages", {}).values():
-            yield from _outputs(stage, repository)
+    for file in (*repository.glob("*.dvc"), repository / "dvc.lock"):
+        if not file.is_file():
+            continue
+        try:
+            content = yaml.safe_load(file.read_text()) or {}
+        except yaml.YAMLError:
+            logger.warning("%s is not valid YAML: the hashes in it are not recorded", file)
+            continue
+        for entry in (content, *content.get("stages", {}).values()):
+            yield from _outputs(entry, repository)
 
 
 def _outputs(entry: Mapping[str, Any], repository: Path) -> Iterator[tuple[Path, str]]:

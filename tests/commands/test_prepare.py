@@ -100,7 +100,7 @@ def test_the_recording_is_never_overwritten(recording, options, tmp_path):
     for output in (recording, tmp_path):
         with pytest.raises(UserError) as refused:
             prepare.run(options(output=str(output), overwrite=True))
-        assert str(refused.value) == f"output {output} would replace the recording: choose another folder"
+        assert str(refused.value) == f"output {output} would replace the input {recording}: choose another folder"
     assert (recording / "recording.yaml").exists()
 
 

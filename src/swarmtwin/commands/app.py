@@ -32,6 +32,9 @@ def run_command(name: str, module_name: str, arguments: list[str]) -> int:
     config_name = name
     try:
         if name == "experiment":
+            if "--help" in arguments and not any(argument.startswith("name=") for argument in arguments):
+                print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(_experiments())}")
+                return 0
             chosen = _chosen_experiment(arguments)
             config_name, module_name = f"experiment/{chosen}", f"experiments.{chosen}"
         module = importlib.import_module(f"swarmtwin.commands.{module_name}")
@@ -45,22 +48,26 @@ def run_command(name: str, module_name: str, arguments: list[str]) -> int:
     except (HydraException, OmegaConfBaseException) as error:
         return _report(name, explain(error, config_name, arguments), MISUSED)
     except OSError as error:
-        if error.errno not in _SYSTEM_FAULTS:
-            raise
-        where = f" ({error.filename})" if error.filename else ""
-        return _report(name, f"{_SYSTEM_FAULTS[error.errno]}{where}; nothing was changed", FAILED)
+        return _report(name, _explain_system_fault(error), FAILED)
+    except MemoryError:
+        return _report(name, "out of memory: ask for less at a time", FAILED)
     except KeyboardInterrupt:
         return _report(name, "interrupted; what had not finished was left out", INTERRUPTED)
     return 0
 
 
-_SYSTEM_FAULTS = {
+SYSTEM_FAULTS = {
     errno.ENOSPC: "the disk is full: make room and run the same command again",
     errno.EDQUOT: "the disk quota is used up: make room and run the same command again",
     errno.EACCES: "no permission to read or write",
     errno.EROFS: "the output is on a read-only file system: choose another output",
-    errno.EFBIG: "a file grew beyond the allowed size",
 }
+
+
+def _explain_system_fault(error: OSError) -> str:
+    what = SYSTEM_FAULTS.get(error.errno or 0, error.strerror or str(error))
+    where = f" ({error.filename})" if error.filename else ""
+    return f"{what}{where}; no output was changed"
 
 
 def _task(module: Any, failures: list[Exception]) -> Callable[[DictConfig], Any]:
@@ -113,9 +120,13 @@ def _known_options(config_name: str, option: str, arguments: Sequence[str]) -> l
     return [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
 
 
+def _experiments() -> list[str]:
+    return sorted(path.stem for path in (config_folder() / "experiment").glob("*.yaml"))
+
+
 def _chosen_experiment(arguments: list[str]) -> str:
     """Find the experiment in `name=...`: its options stand in conf/experiment/<name>.yaml."""
-    known = [path.stem for path in (config_folder() / "experiment").glob("*.yaml")]
+    known = _experiments()
     chosen = [argument.partition("=")[2] for argument in arguments if argument.startswith("name=")]
     if not chosen:
         raise UserError(f"say which: name=..., {near_miss('', known)}")

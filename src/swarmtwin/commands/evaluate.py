@@ -12,7 +12,7 @@ from swarmtwin.commands.measurement import Measured, Measurement, load_simulatio
 from swarmtwin.commands.sources import Vehicles, read_vehicles
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.figures import runs_figure, scatter_figure
-from swarmtwin.files import new_folder, write_text
+from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.tracking import tracked_run
 
@@ -35,19 +35,23 @@ def run(options: Options) -> None:
         UserError: no such model or recording, they do not fit each other, or the output is taken.
     """
     settings = options.model_dump(mode="json")
-    dynamics, provenance = load_simulation(registry.model_folder(options.simulation), options.robot)
+    simulation = registry.model_folder(options.simulation)
+    inputs = [options.recording, simulation]
+    check_output(options.output, "evaluate", options.overwrite, inputs)
+    dynamics, provenance = load_simulation(simulation, options.robot)
     recording = read_vehicles(options.recording, options.robot, options.vehicles)
     name = f"{options.robot.name}-{dynamics.config.name} on {options.recording.name}"
-    with tracked_run("dynamics", f"evaluate {name}", settings, [options.recording]) as tracked:
-        with new_folder(options.output, "evaluate", settings, options.overwrite) as folder:
+    with tracked_run("dynamics", f"evaluate {name}", settings, inputs) as tracked:
+        with new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder:
             measurement = measure(dynamics, provenance, Measured.of(recording, options.recording))
             about = {"robot": options.robot.name, "model": dynamics.config.name, "recording": options.recording.name}
             write_text(folder / "metrics.json", json.dumps({**about, **measurement.metrics()}, indent=1) + "\n")
             _draw(folder, measurement, recording.header.arena_mm)
         tracked.metrics(measurement.overall.tracked())
+        tracked.tag("simulation.digest", registry.folder_digest(simulation))
         tracked.folder(options.output, "evaluation")
     Console().print(table(name, measurement))
-    Console().print(f"figures and pictures: {options.output}", highlight=False)
+    Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)
 
 
 def table(name: str, measurement: Measurement) -> Table:

@@ -15,7 +15,7 @@ from swarmtwin.dynamics.open_loop import OpenLoop, OpenLoopFigure, open_loop, su
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.store import load_dynamics
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, Robot
 from swarmtwin.standin.truth import TRUTH_FILE, read_truth
 from swarmtwin.transitions import Transitions, from_recording
@@ -148,7 +148,7 @@ def measure(dynamics: Dynamics, provenance: Provenance, measured: Measured) -> M
     """
     unseen = provenance.unseen_part(measured.recording)
     transitions, exact = measured.transitions, measured.exact_means(dynamics)
-    runs = open_loop(dynamics, unseen.tracks)
+    runs = open_loop(dynamics, [_believable(track, transitions) for track in unseen.tracks])
     scored = _of_tracks(transitions, unseen)
     if not scored.any():
         raise UserError(f"recording {provenance.recording!r}: its held-out runs hold no usable transition: record more")
@@ -165,6 +165,17 @@ def measure(dynamics: Dynamics, provenance: Provenance, measured: Measured) -> M
     return Measurement(
         overall, vehicles, unseen is not measured.recording, tuple(runs), part, evaluation.predict(dynamics, part)
     )
+
+
+def _believable(track: Track, transitions: Transitions) -> Track:
+    """Return a track without the poses that no transition was made of: misread or swapped markers."""
+    own = (transitions.run == transitions.runs.index(track.run)) & (
+        transitions.vehicle == transitions.vehicles.index(track.vehicle)
+    )
+    start = np.searchsorted(track.time_s, transitions.time_s[own])
+    believed = np.zeros(len(track), dtype=bool)
+    believed[start] = believed[start + 1] = True
+    return dataclasses.replace(track, pose=np.where(believed[:, None], track.pose, np.nan))
 
 
 def _of_tracks(transitions: Transitions, recording: Recording) -> np.ndarray:

@@ -5,8 +5,14 @@ from pathlib import Path
 
 
 def output_folder(chosen: Path | None, command: str, name: str) -> Path:
-    """Return the folder asked for, or the first free `outputs/<command>/<name>-<number>`."""
+    """Return the folder asked for, or claim the first free `outputs/<command>/<name>-<number>` by making it, empty."""
     if chosen is not None:
         return chosen
-    numbered = (Path("outputs") / command / f"{name}-{number:03}" for number in count(1))
-    return next(folder for folder in numbered if not folder.exists())
+    for number in count(1):
+        folder = Path("outputs") / command / f"{name}-{number:03}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError

@@ -5,7 +5,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.tracks import ROW_REASONS
@@ -32,9 +31,8 @@ def run(options: Options) -> None:
     Raises:
         UserError: the recording is at fault, has too few runs to split, or the output is taken.
     """
-    if options.recording.resolve().is_relative_to(options.output.resolve()):
-        raise UserError(f"output {options.output} would replace the recording: choose another folder")
-    with new_folder(options.output, "prepare", options.model_dump(mode="json"), options.overwrite) as folder:
+    settings = options.model_dump(mode="json")
+    with new_folder(options.output, "prepare", settings, options.overwrite, inputs=[options.recording]) as folder:
         recording = read_recording(options.recording, options.robot)
         transitions, counts = from_recording(recording)
         transitions = split_by_run(transitions, options.split.fractions, options.split.seed)

@@ -1,8 +1,10 @@
 """`swarmtwin promote`: the gate that a registered model passes to become the champion, and the way back."""
 
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from rich.console import Console
 
 from swarmtwin import gate, registry
@@ -21,7 +23,7 @@ class Options(StrictModel):
     """Options of `swarmtwin promote`; their defaults stand in conf/promote.yaml."""
 
     robot: Robot
-    candidate: str
+    candidate: Annotated[str, Field(coerce_numbers_to_str=True)]
     recording: Path
     rollback: bool
 
@@ -83,8 +85,8 @@ def _judge(
     common = _common(unseen, rival_provenance.unseen_part(recording))
     if not common.tracks:
         raise UserError(
-            f"{candidate} and {incumbent} were trained on recording {provenance.recording!r}, and no run of it is unseen "
-            "by both: add recording=... with another one"
+            f"{candidate} and {incumbent} were trained on recording {provenance.recording!r}, and no run of it is "
+            "unseen by both: add recording=... with another one"
         )
     transitions, _ = from_recording(common)
     usual = np.broadcast_to(transitions.displacement.mean(axis=0), (len(transitions), 3))

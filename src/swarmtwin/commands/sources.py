@@ -21,13 +21,14 @@ from swarmtwin.transitions import (
 from swarmtwin.transitions.preparation import describe
 
 
-def _texts(value: Any) -> Any:
+def as_texts(value: Any) -> Any:
+    """Turn one id or several, as YAML reads them, into texts: 1 → ("1",)."""
     if isinstance(value, str | int):
         value = [value]
     return [str(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-Vehicles = Annotated[tuple[str, ...] | None, BeforeValidator(_texts)]
+Vehicles = Annotated[tuple[str, ...] | None, BeforeValidator(as_texts)]
 """Ids of vehicles as typed in a command, where they look like numbers: vehicles=1, vehicles=[1,2]."""
 
 

@@ -22,8 +22,8 @@ from swarmtwin.dynamics.recipe import Recipe
 from swarmtwin.dynamics.registry import model_config
 from swarmtwin.dynamics.store import save_dynamics
 from swarmtwin.dynamics.training import Trained, train
-from swarmtwin.files import new_folder, write_text
-from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking import TrackedRun, tracked_run
 from swarmtwin.transitions import Preparation, SplitOptions, Transitions
 
@@ -40,7 +40,7 @@ class Options(StrictModel):
     transitions: Path | None
     recording: Path | None
     vehicles: Vehicles
-    seed: int
+    seed: Seed
     seeds: Annotated[int, Field(ge=1)]
     register_model: Annotated[bool, Field(alias="register")]
     output: Path | None
@@ -60,9 +60,10 @@ def run(options: Options) -> None:
     name = f"{options.robot.name}-{config.name}"
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
+    check_output(output, "train", options.overwrite, [source])
     with tracked_run("dynamics", name, settings, [source], options.seed) as tracked:
         started = time.monotonic()
-        with new_folder(output, "train", settings, options.overwrite, keep_partial=True) as folder:
+        with new_folder(output, "train", settings, options.overwrite, keep_partial=True, inputs=[source]) as folder:
             trained = _train(options, config, transitions, folder / CHECKPOINTS)
             provenance = _provenance(trained, preparation)
             _save(folder, trained, provenance)
@@ -74,7 +75,7 @@ def run(options: Options) -> None:
             version = registry.register(registered_name, output, kept, tracked.run_id, provenance.tags(config.name))
             registered = f"registered as {version}, its challenger"
     Console().print(_table(name, provenance))
-    Console().print(f"{output}: {registered}", highlight=False)
+    Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
 
 
 def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:

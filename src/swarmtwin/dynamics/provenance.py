@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any, Self
 
+from pydantic import model_validator
+
 from swarmtwin.dynamics.store import DESCRIPTION, read_description
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
@@ -38,6 +40,7 @@ class Provenance(StrictModel):
         source: where the recording comes from, in its own words.
         vehicles: the vehicles learned from.
         runs: names of the runs in each split.
+        learned: digests of the tracks it was trained on or chosen by.
         recipe: how it was trained, all values known.
         seed: the seed chosen, best on the validation runs.
         seeds: what came of each.
@@ -48,6 +51,7 @@ class Provenance(StrictModel):
     source: str
     vehicles: tuple[str, ...]
     runs: dict[str, tuple[str, ...]]
+    learned: tuple[str, ...]
     recipe: dict[str, Any]
     seed: int
     seeds: tuple[SeedOutcome, ...]
@@ -70,10 +74,17 @@ class Provenance(StrictModel):
             source=preparation.source,
             vehicles=preparation.vehicles,
             runs=preparation.runs,
+            learned=preparation.learned,
             recipe=recipe,
             seed=seed,
             seeds=seeds,
         )
+
+    @model_validator(mode="after")
+    def _chosen_seed_is_known(self) -> Self:
+        if self.seed not in [outcome.seed for outcome in self.seeds]:
+            raise ValueError(f"seed {self.seed} is not among seeds")
+        return self
 
     @property
     def chosen(self) -> SeedOutcome:
@@ -85,15 +96,17 @@ class Provenance(StrictModel):
         return {"model": model, **{name: f"{error:.4g}" for name, error in self.chosen.errors.items()}}
 
     def unseen_part(self, recording: Recording) -> Recording:
-        """Return what the model has not seen of a recording: of its own recording the test runs, else all of it.
+        """Return what the model has not seen of a recording: not the tracks it was trained on or chosen by.
+
+        Tracks are known by what was measured, so that a copy, a part or another format of a recording is recognised.
 
         Raises:
             UserError: nothing is left.
         """
-        if recording.digest != self.digest:
+        learned = set(self.learned)
+        part = recording.where(lambda track: track.digest() not in learned)
+        if len(part.tracks) == len(recording.tracks):
             return recording
-        unseen = set(self.runs["test"])
-        part = recording.where(lambda track: track.vehicle not in self.vehicles or track.run in unseen)
         if not part.tracks:
             raise UserError(
                 f"the model was trained on every run of recording {self.recording!r}: "

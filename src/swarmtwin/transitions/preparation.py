@@ -50,6 +50,7 @@ class Preparation(StrictModel):
         counts: what was kept and dropped, by reason.
         runs: names of the runs in each split; a run without a transition is in none.
         transitions: number of transitions in each split.
+        learned: digests of the tracks that a model trained on these transitions has seen: train and validation.
     """
 
     robot: str
@@ -62,6 +63,7 @@ class Preparation(StrictModel):
     counts: CountsByReason
     runs: dict[str, tuple[str, ...]]
     transitions: dict[str, int]
+    learned: tuple[str, ...]
 
 
 def describe(
@@ -71,6 +73,7 @@ def describe(
     runs = {
         split: tuple(transitions.runs[index] for index in np.unique(transitions.part(split).run)) for split in SPLITS
     }
+    unseen = set(runs["test"])
     return Preparation(
         robot=recording.robot.name,
         recording=name,
@@ -82,6 +85,7 @@ def describe(
         counts=CountsByReason.model_validate(dataclasses.asdict(counts)),
         runs=runs,
         transitions={split: len(transitions.part(split)) for split in SPLITS},
+        learned=tuple(sorted(track.digest() for track in recording.tracks if track.run not in unseen)),
     )
 
 

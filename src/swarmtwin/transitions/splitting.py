@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from swarmtwin.errors import UserError
-from swarmtwin.robot import StrictModel
+from swarmtwin.robot import Seed, StrictModel
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 
@@ -33,7 +33,7 @@ class SplitOptions(StrictModel):
     """The configuration of a split, as in conf/split/by_run.yaml: each part's share, and the seed of the draw."""
 
     fractions: Fractions
-    seed: int
+    seed: Seed
 
 
 def split_by_run(transitions: Transitions, fractions: Fractions, seed: int) -> Transitions:

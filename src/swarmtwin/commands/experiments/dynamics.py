@@ -18,7 +18,7 @@ from swarmtwin.commands.measurement import Measured, Measurement, load_simulatio
 from swarmtwin.dynamics.figures import comparison_figure, runs_figure
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
-from swarmtwin.files import new_folder, write_text
+from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.tracking import tracked_run
@@ -63,8 +63,9 @@ def run(options: Options) -> None:
     """
     settings = options.model_dump(mode="json")
     inputs = [options.models, *options.recordings.values()]
+    check_output(options.output, "experiment", options.overwrite, inputs)
     with tracked_run("dynamics", f"{options.robot.name} models compared", settings, inputs) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite) as folder:
+        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
             entries = _entries(options)
             best = best_entry(entries)
             _save(folder, entries, best, options.robot.arena_mm)

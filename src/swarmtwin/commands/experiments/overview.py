@@ -66,8 +66,8 @@ def run(options: Options) -> None:
     for chapter in chapters:
         console.print(model_table(chapter.robot.title, chapter.table, chapter.best))
     console.print(_registry_table(chapters))
-    console.print(f"the same with pictures: {options.output / 'overview.html'}", highlight=False)
-    console.print("every run, to compare: make ui", highlight=False)
+    console.print(f"the same with pictures: {options.output / 'overview.html'}", highlight=False, soft_wrap=True)
+    console.print("every run, to compare: make ui", highlight=False, soft_wrap=True)
 
 
 def _chapter(artifacts: Path, robot_name: str) -> Chapter:

@@ -1,0 +1,87 @@
+"""Small recordings of stand-ins, and models trained on them, made once for all tests of the commands that need some."""
+
+import shutil
+from pathlib import Path
+from typing import NamedTuple
+
+import mlflow
+import pytest
+
+from swarmtwin.commands import COMMANDS
+from swarmtwin.commands.app import run_command
+from swarmtwin.standin import truth
+
+RECORDINGS = {
+    "reference": ("vehicle=1", "runs=30", "steps=30", "seed=1"),
+    "other_vehicle": ("vehicle=2", "runs=10", "steps=30", "seed=2"),
+    "open_loop": ("vehicle=1", "runs=3", "steps=30", "seed=3"),
+    "pair": ("vehicle=[1,2]", "runs=6", "steps=20", "seed=4"),
+}
+TRAINING = ("recipe.batch_size=128", "seeds=1", "register=false")
+MODELS = {
+    "mlp": ("model=mlp", "model.steps=150"),
+    "kinematic": ("model=kinematic", "model.steps=150"),
+    "rough": ("model=mlp", "model.steps=12"),
+}
+
+
+class Answer(NamedTuple):
+    """What a command answered: exit status, what it showed, and its error lines."""
+
+    status: int
+    shown: str
+    error: str
+
+
+def run(*arguments):
+    """Run a command in this process; return its exit status."""
+    return run_command(arguments[0], COMMANDS[arguments[0]].module, [str(argument) for argument in arguments[1:]])
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory):
+    """A folder to read from: recordings by name, models/ trained on `reference`, and an MLflow store without a run."""
+    folder = tmp_path_factory.mktemp("library")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("MLFLOW_TRACKING_URI", raising=False)
+        patch.setattr(truth, "BANK_ROWS", 4096)
+        mlflow.MlflowClient(f"sqlite:///{folder / 'mlflow.db'}").search_registered_models()
+        shutil.copy("mlflow.db", "empty.db")
+        for name, options in RECORDINGS.items():
+            assert run("record", *options, f"output={name}") == 0
+        for name, options in MODELS.items():
+            assert run("train", "recording=reference", *TRAINING, *options, f"output=models/{name}") == 0
+    return folder
+
+
+@pytest.fixture
+def workshop(workplace, library, monkeypatch):
+    """A current folder with an MLflow store and copies of the recordings, where tables are not wrapped."""
+    monkeypatch.setenv("COLUMNS", "250")
+    shutil.copy(library / "empty.db", workplace / "mlflow.db")
+    for name in RECORDINGS:
+        shutil.copytree(library / name, workplace / name)
+    return workplace
+
+
+@pytest.fixture
+def swarmtwin(workshop, capsys):
+    """Run a command in this process, in the workshop; return its answer."""
+
+    def call(*arguments):
+        capsys.readouterr()
+        status = run(*arguments)
+        return Answer(status, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def model(library, workshop):
+    """Copy a trained model into the workshop, under its own name or another; return its folder."""
+
+    def copy(name, to=None) -> Path:
+        return shutil.copytree(library / "models" / name, workshop / (to or name))
+
+    return copy

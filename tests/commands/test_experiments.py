@@ -1,0 +1,139 @@
+"""`swarmtwin experiment`: the table's numbers are those of `evaluate`, and the best is chosen by validation alone."""
+
+import json
+from html.parser import HTMLParser
+
+import mlflow
+import pandas as pd
+import pytest
+import yaml
+
+from swarmtwin.tracking import use_store
+
+RECORDINGS = {"train_vehicle": "reference", "other_vehicle": "other_vehicle", "open_loop": "open_loop"}
+COMPARISON = ("experiment", "name=dynamics", "models=models", *(f"{name}={path}" for name, path in RECORDINGS.items()))
+
+
+@pytest.fixture
+def models(model):
+    """The trained models in one folder, by name."""
+    return {name: model(name, f"models/{name}") for name in ("kinematic", "mlp", "rough")}
+
+
+def plant_validation(folder, position_mm, orientation_deg):
+    """Claim other errors on the validation runs; on all other runs the model errs as before."""
+    description = yaml.safe_load((folder / "model.yaml").read_text())
+    description["provenance"]["seeds"][0] |= {"position_mm": position_mm, "orientation_deg": orientation_deg}
+    (folder / "model.yaml").write_text(yaml.safe_dump(description))
+
+
+def test_the_table_holds_the_numbers_of_evaluate(swarmtwin, models, workshop):
+    assert swarmtwin(*COMPARISON, "output=out").status == 0
+    table = pd.read_csv(workshop / "out" / "table.csv").set_index(["model", "recording"])
+    metrics = json.loads((workshop / "out" / "metrics.json").read_text())
+    assert set(table.index) == {(name, recording) for name in models for recording in RECORDINGS}
+    for name, recording in (("mlp", "train_vehicle"), ("mlp", "other_vehicle"), ("kinematic", "open_loop")):
+        output = f"evaluation-{name}-{recording}"
+        assert (
+            swarmtwin(
+                "evaluate", f"simulation={models[name]}", f"recording={RECORDINGS[recording]}", f"output={output}"
+            ).status
+            == 0
+        )
+        evaluated = json.loads((workshop / output / "metrics.json").read_text())
+        about = ("robot", "model", "recording")
+        assert metrics[name][recording] == {key: value for key, value in evaluated.items() if key not in about}
+        row = table.loc[name, recording]
+        assert row.transitions == evaluated["transitions"]
+        for figure in ("one_step", "floor", "model_error"):
+            for error, unit in (("position", "mm"), ("orientation", "deg")):
+                expected = evaluated[figure][f"{error}_{unit}"]
+                assert row[f"{figure}_{error}_{unit}"] == pytest.approx(expected["mean"], abs=6e-5)
+                assert row[f"{figure}_{error}_sd_{unit}"] == pytest.approx(expected["sd"], abs=6e-5)
+        assert row.open_loop_mm == pytest.approx(evaluated["open_loop"]["rmse_mm"]["mean"], abs=6e-3)
+    worst_first = table.xs("train_vehicle", level="recording").one_step_position_mm
+    assert list(worst_first) == sorted(worst_first, reverse=True)
+
+
+def test_the_best_is_chosen_by_validation_and_never_by_the_test(swarmtwin, models, workshop):
+    plant_validation(models["rough"], 1.0, 1.0)
+    answer = swarmtwin(*COMPARISON, "output=out")
+    assert answer.status == 0
+    table = pd.read_csv(workshop / "out" / "table.csv").query("recording == 'train_vehicle'").set_index("model")
+    assert table.one_step_position_mm["rough"] > table.one_step_position_mm["mlp"]
+    for file in ("model.yaml", "weights.safetensors"):
+        assert (workshop / "out" / "best" / file).read_bytes() == (models["rough"] / file).read_bytes()
+    assert "rough *" in answer.shown
+    use_store()
+    (run,) = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    assert run.data.tags["best_model"] == "rough"
+
+
+def test_position_and_orientation_weigh_alike_in_the_choice(swarmtwin, models, workshop):
+    plant_validation(models["kinematic"], 3.0, 4.4)
+    plant_validation(models["mlp"], 3.2, 4.0)  # 7 % more position error, but 9 % less orientation error
+    plant_validation(models["rough"], 9.0, 9.0)
+    assert swarmtwin(*COMPARISON, "output=out").status == 0
+    assert (workshop / "out" / "best" / "model.yaml").read_bytes() == (models["mlp"] / "model.yaml").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["models=nowhere"], "no folder nowhere with models: run `dvc repro` first"),
+        (["models=reference"], "reference holds no model folder: run `dvc repro` first"),
+        (["open_loop=elsewhere"], "no recording folder elsewhere"),
+        (["robot=mur"], "reference/recording.yaml: the recording is of robot 'mgr', not of 'mur'"),
+    ],
+)
+def test_what_is_missing_is_one_line(swarmtwin, models, workshop, options, message):
+    answer = swarmtwin(*COMPARISON, *options, "output=out")
+    assert answer.status == 1
+    assert answer.error.startswith(f"swarmtwin experiment: {message}")
+    assert len(answer.error.strip().splitlines()) == 1
+    assert not (workshop / "out").exists()
+
+
+class Page(HTMLParser):
+    """What a page would load, and what it says."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.loaded, self.words = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.loaded += [value for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_data(self, data):
+        self.words += data.split()
+
+
+def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swarmtwin, models, workshop):
+    overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
+    answer = swarmtwin(*overview)
+    assert answer.status == 1
+    assert answer.error == (
+        "swarmtwin experiment: artifacts/comparison/mgr holds no comparison of models: run `dvc repro` first\n"
+    )
+    swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
+    swarmtwin(*COMPARISON, "output=artifacts/comparison/mgr")
+    assert swarmtwin(*overview).status == 0
+    assert "No champion is registered yet." in " ".join(Page((workshop / "overview/overview.html").read_text()).words)
+
+    assert swarmtwin("promote", "candidate=artifacts/comparison/mgr/best", "recording=other_vehicle").status == 0
+    answer = swarmtwin(*overview)
+    assert answer.status == 0
+    text = (workshop / "overview" / "overview.html").read_text()
+    page = Page(text)
+    assert len(page.loaded) >= 2
+    assert all(source.startswith("data:image/png;base64,iVBOR") for source in page.loaded)
+    for loader in ("@import", "url(", "<script", "<link"):
+        assert loader not in text
+    words = " ".join(page.words)
+    assert "Registered champion: mgr-dynamics version 1 (one-step error -" in words
+    assert "measurably better than predicting the mean displacement" in words
+    table = pd.read_csv(workshop / "artifacts" / "comparison" / "mgr" / "table.csv")
+    for row in table.query("recording == 'train_vehicle'").itertuples():
+        assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in words
+        assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in answer.shown

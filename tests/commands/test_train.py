@@ -1,0 +1,196 @@
+"""`swarmtwin train` leaves a whole model or none, the same for the same seed, tracked and registered."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import mlflow
+import pandas as pd
+import pytest
+
+from swarmtwin import registry
+from swarmtwin.dynamics.progress import Progress
+from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.tracking import use_store
+
+MLP = ("train", "recording=reference", "model=mlp", "model.steps=150", "recipe.batch_size=128")
+QUICK = ("train", "recording=reference", "recipe.epochs=2", "seeds=1", "register=false")
+
+WAIT_IN_EPOCH_5_OF_SEED_2 = """
+import time
+from swarmtwin.commands import main
+from swarmtwin.dynamics.progress import Progress
+
+close_epoch = Progress.on_train_epoch_end
+
+def close_and_wait(self, *arguments):
+    close_epoch(self, *arguments)
+    if self.seed == 2 and len(self.history) == 5:
+        print("waiting", flush=True)
+        time.sleep(120)
+
+Progress.on_train_epoch_end = close_and_wait
+main()
+"""
+
+
+def runs():
+    """The runs in this folder's store, the newest first."""
+    use_store()
+    return mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+
+
+def same_model(first, second):
+    files = ("weights.safetensors", "model.yaml", "metrics.json", "history.csv")
+    return all((first / name).read_bytes() == (second / name).read_bytes() for name in files)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(swarmtwin, workshop, library):
+    for seed in (1, 2):
+        assert swarmtwin(*MLP, "seeds=1", "register=false", f"seed={seed}", f"output=seed-{seed}").status == 0
+    assert same_model(workshop / "seed-1", library / "models" / "mlp")
+    assert not same_model(workshop / "seed-2", library / "models" / "mlp")
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_training_leaves_no_model_and_continues_to_the_same_one(swarmtwin, workshop, monkeypatch, stop):
+    (workshop / "hold.py").write_text(WAIT_IN_EPOCH_5_OF_SEED_2)
+    command = [sys.executable, "hold.py", *MLP, "output=out"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "waiting\n"
+    process.send_signal(stop)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == {signal.SIGINT: 130, signal.SIGKILL: -signal.SIGKILL}[stop]
+    assert "Traceback" not in error
+    assert not (workshop / "out").exists()
+
+    trained = []
+    close_epoch = Progress.on_train_epoch_end
+    monkeypatch.setattr(
+        Progress, "on_train_epoch_end", lambda self, *a: (trained.append(self.seed), close_epoch(self, *a))
+    )
+    assert swarmtwin(*MLP, "output=out").status == 0
+    epochs = len(pd.read_csv(workshop / "out" / "history.csv").query("seed == 2"))
+    assert trained == [2] * (epochs - 5)
+    assert swarmtwin(*MLP, "output=uninterrupted").status == 0
+    assert same_model(workshop / "out", workshop / "uninterrupted")
+    assert not (workshop / "out" / "checkpoints").exists()
+    assert not list(workshop.glob(".out*"))
+    if stop == signal.SIGINT:
+        assert sorted(run.info.status for run in runs()) == ["FINISHED", "FINISHED", "KILLED"]
+
+
+def test_a_run_is_tracked_and_its_model_registered_as_challenger(swarmtwin, workshop):
+    for seed in (4, 5):
+        assert swarmtwin(*QUICK, "model=mlp", f"seed={seed}", "register=true", f"output=seed-{seed}").status == 0
+    last, first = runs()
+    assert [run.data.tags["seed"] for run in (first, last)] == ["4", "5"]
+    assert (last.data.params["model.name"], last.data.params["recipe.epochs"]) == ("mlp", "2")
+    assert "mlflow.parentRunId" not in last.data.tags
+    errors = Provenance.read(workshop / "seed-5").chosen.errors
+    assert last.data.metrics["validation_position_mm"] == errors["position_mm"]
+    assert last.data.metrics["validation_orientation_deg"] == errors["orientation_deg"]
+    metrics = json.loads((workshop / "seed-5" / "metrics.json").read_text())
+    assert {name: metrics["validation"][name] for name in errors} == errors
+    challenger = registry.find_version("models:/mgr-dynamics@challenger")
+    assert challenger.number == 2
+    assert challenger.tags["digest"] == registry.folder_digest(workshop / "seed-5")
+    assert registry.folder_digest(challenger.folder()) == registry.folder_digest(workshop / "seed-5")
+
+
+def test_without_registering_there_is_no_version(swarmtwin):
+    assert "not registered" in swarmtwin(*QUICK, "model=kinematic").shown
+    assert registry.versions("mgr-dynamics") == []
+
+
+def test_a_sweep_is_one_parent_with_comparable_children(swarmtwin):
+    assert swarmtwin("train", "-m", *QUICK[1:], "model=mlp,kinematic", "seed=7").status == 0
+    children, parents = [], []
+    for run in runs():
+        (parents if run.data.tags.get("kind") == "sweep" else children).append(run)
+    assert [parent.info.status for parent in parents] == ["FINISHED"]
+    assert {child.data.tags["mlflow.parentRunId"] for child in children} == {parents[0].info.run_id}
+    assert sorted(child.data.params["model.name"] for child in children) == ["kinematic", "mlp"]
+    assert {child.data.tags["seed"] for child in children} == {"7"}
+    assert len({frozenset(child.data.metrics) for child in children}) == 1
+    assert len({child.data.tags["recording.digest"] for child in children}) == 1
+
+
+def test_dead_seeds_are_flagged_replaced_and_never_the_model(swarmtwin, workshop):
+    fcnn = ("model=fcnn", "model.steps=120", "recipe.batch_size=128", "register=false")
+    answer = swarmtwin("train", "recording=reference", *fcnn, "seed=1", "seeds=6", "output=out")
+    assert answer.status == 0
+    provenance = Provenance.read(workshop / "out")
+    dead = [outcome for outcome in provenance.seeds if outcome.dead]
+    live = [outcome for outcome in provenance.seeds if not outcome.dead]
+    assert dead, "none of the seeds that a final ReLU used to kill died: choose others"
+    assert len(live) == 6
+    assert provenance.chosen in live
+    # A constant output errs by the spread of the motion itself, several times what a live network errs.
+    for outcome in live:
+        assert outcome.position_mm < 10
+        assert outcome.orientation_deg < 10
+    for outcome in dead:
+        assert outcome.position_mm > 20 or outcome.orientation_deg > 30
+    assert answer.shown.count("dead: constant output") == len(dead)
+    assert runs()[0].data.metrics["dead_seeds"] == len(dead)
+
+
+def test_where_every_seed_is_dead_nothing_is_left(swarmtwin, workshop):
+    answer = swarmtwin(*QUICK, "model=mlp", "recipe.learning_rate=1e30", "output=out")
+    assert answer.status == 1
+    assert "mlp: every seed is dead (seed 1: the errors were no longer finite in epoch 1;" in answer.error
+    assert not (workshop / "out").exists()
+    assert [run.info.status for run in runs()] == ["FAILED"]
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (
+            ["transitions=prepared", "recording=reference"],
+            1,
+            "give transitions=... or recording=..., not both",
+        ),
+        (
+            [],
+            1,
+            "no transitions in artifacts/transitions/mgr: run `dvc repro` first, or give recording=... or "
+            "transitions=...",
+        ),
+        (
+            ["robot=mur", "transitions=prepared"],
+            1,
+            "prepared holds transitions of robot 'mgr': add robot=mgr",
+        ),
+        (
+            ["robot=mur", "recording=reference"],
+            1,
+            "reference/recording.yaml: the recording is of robot 'mgr', not of 'mur': add robot=mgr, or choose "
+            "another recording",
+        ),
+        (["recording=reference", "vehicles=[3]"], 1, "reference: no vehicle '3': known: 1"),
+        (
+            ["transitions=prepared", "vehicles=1"],
+            1,
+            "vehicles=... chooses from a recording: give recording=... as well",
+        ),
+        (
+            ["model=mpl"],
+            2,
+            "no such model: 'mpl': did you mean 'mlp'? known: cnn, crnet, fcnn, gru, kinematic, lstm, mlp",
+        ),
+        (["model.layer=[3]", "model=mlp"], 2, "unknown option 'model.layer': did you mean 'model.layers'?"),
+        (["recipe.epoch=3"], 2, "unknown option 'recipe.epoch': did you mean 'recipe.epochs'?"),
+        (["recording=reference", "seeds=0"], 1, "options: field 'seeds': Input should be greater than or equal to 1"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, options, status, message):
+    swarmtwin("prepare", "recording=reference", "output=prepared")
+    answer = swarmtwin("train", *options, "output=out")
+    assert answer.status == status
+    assert answer.error.startswith(f"swarmtwin train: {message}")
+    assert len(answer.error.strip().splitlines()) == 1
+    assert not (workshop / "out").exists()
+    assert runs() == []
