@@ -90,3 +90,61 @@ def test_what_goes_wrong_leaves_nothing_behind(options, data_set, tmp_path):
     with pytest.raises(UserError, match=r"Robot2_Groundtruth.dat, row 1, column 'y': 'x' is not a number"):
         import_recording.run(options())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["data_set"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"run_s": "inf"}, "field 'run_s': Input should be a finite number, got 'inf'"),
+        ({"run_s": 1e-9}, "field 'content': Value error, run_s 1e-09 is too short: give at least two periods, 1"),
+        ({"run_s": 0.9}, "field 'content': Value error, run_s 0.9 is too short: give at least two periods, 1"),
+        ({"run_s": -5}, "field 'content': Value error, run_s -5 is too short: give at least two periods, 1"),
+        ({"run_s": 90_000}, "field 'run_s': Input should be less than or equal to 86400, got 90000"),
+        ({"vehicles": []}, "field 'vehicles': Tuple should have at least 1 item after validation, not 0, got []"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(options, changes, message):
+    with pytest.raises(UserError) as refused:
+        options(**changes)
+    assert str(refused.value) == f"swarmtwin import: {message}"
+
+
+@pytest.mark.parametrize("run_s", [1, 86_400])
+def test_runs_may_be_two_periods_or_a_day_long(options, run_s):
+    assert options(run_s=run_s).run_s == run_s
+
+
+@pytest.mark.parametrize("time", ["1e18", "-1e300", "1248544175"])
+@pytest.mark.parametrize("name", ["Robot1_Odometry.dat", "Robot2_Groundtruth.dat"])
+def test_a_time_that_cannot_be_is_told_with_its_row(options, data_set, tmp_path, name, time):
+    file = data_set / name
+    lines = ["# Time [s]", *file.read_text().splitlines()]
+    lines[7] = " ".join([time, *lines[7].split()[1:]])
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(UserError) as refused:
+        import_recording.run(options())
+    assert str(refused.value) == (
+        f"{file}, row 8, column 'time': time {float(time):g} s is more than a day from most others, or beyond the year "
+        "2100: copy the file again from the data set"
+    )
+    assert not (tmp_path / "recording").exists()
+
+
+def test_times_that_are_all_wrong_are_refused(options, data_set):
+    file = data_set / "Robot1_Groundtruth.dat"
+    file.write_text("".join(f"1e18 {line.partition(' ')[2]}" for line in file.read_text().splitlines(keepends=True)))
+    with pytest.raises(UserError, match=r"Robot1_Groundtruth.dat, row 1, column 'time': time 1e\+18 s"):
+        import_recording.run(options())
+
+
+def test_robots_of_different_sessions_are_refused(options, data_set):
+    for kind in ("Odometry", "Groundtruth"):
+        file = data_set / f"Robot2_{kind}.dat"
+        values = np.loadtxt(file)
+        values[:, 0] += 10 * 86_400
+        np.savetxt(file, values, fmt="%.6f")
+    with pytest.raises(UserError) as refused:
+        import_recording.run(options())
+    assert str(refused.value) == (
+        f"{data_set}: the robots' poses were measured up to 10.0 days apart: use files of one and the same data set"
+    )

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 import yaml
 
+from swarmtwin.commands import record as command
 from swarmtwin.commands.app import config_folder
 from swarmtwin.commands.record import Options, run
 from swarmtwin.errors import UserError
@@ -147,6 +148,17 @@ REFUSED = [
         {"vehicle": [1, 2], "transitions": 9},
         "transitions=... cuts the runs of one vehicle: give one vehicle, or runs=...",
     ),
+    ({"vehicle": []}, "swarmtwin record: field 'vehicle': Value should have at least 1 item after validation, not 0"),
+    (
+        {"runs": 100_000_000, "steps": 1000},
+        "a recording of 100,100,000,000 rows (100,000,000 runs of 1,000 steps, vehicles: 1) is too long: stay below "
+        "20,000,000 rows, with several recordings if need be",
+    ),
+    (
+        {"transitions": 30_000_000},
+        "a recording of 35,000,000 rows (5,000,000 runs of 6 steps, vehicles: 1) is too long",
+    ),
+    ({"vehicle": list(range(9)), "runs": 60_000, "steps": 40}, "a recording of 22,140,000 rows (60,000 runs of 40"),
     ({"drive": "nowhere.csv"}, "drive nowhere.csv is missing: name a CSV file with left, right"),
     ({"runs": 0}, "swarmtwin record: field 'runs': Input should be greater than or equal to 1, got 0"),
     ({"effects": [{"name": "gain_chang"}]}, "effects: unknown effect 'gain_chang': did you mean 'gain_change'?"),
@@ -158,6 +170,18 @@ def test_options_that_make_no_sense_are_refused(record, tmp_path, given, message
     with pytest.raises(UserError, match=f"^{re.escape(message)}"):
         record(**given)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_drive_that_is_a_folder_is_refused(record, tmp_path):
+    with pytest.raises(UserError) as refused:
+        record(drive=tmp_path)
+    assert str(refused.value) == f"drive {tmp_path} cannot be read (Is a directory): name a CSV file"
+
+
+def test_recording_gives_up_when_too_few_transitions_are_usable(record, monkeypatch):
+    monkeypatch.setattr(command, "MOST_ROWS", 5000)
+    with pytest.raises(UserError, match="vehicles: 1\\) is too long: stay below 5,000 rows"):
+        record(transitions=600, lost_poses=0.9)
 
 
 def test_a_recording_is_not_replaced_unasked(record):

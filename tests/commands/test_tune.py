@@ -1,5 +1,7 @@
 """`swarmtwin tune`: one study, shared by processes and continued by later calls."""
 
+import re
+
 import mlflow
 import optuna
 import pytest
@@ -9,7 +11,8 @@ from optuna.trial import TrialState
 
 from swarmtwin.tracking import use_store
 
-SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256")
+STUDY = ("study=mgr-kinematic",)
+SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", *STUDY)
 
 
 def study(workshop):
@@ -38,6 +41,8 @@ def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, work
     trials = complete(workshop)
     assert len(trials) == 7
     assert [trial.params for trial in trials[:5]] == [trial.params for trial in first]
+    rates = [trial.params["recipe.learning_rate"] for trial in trials]
+    assert len(set(rates)) == 7
 
     best = min(trials, key=lambda trial: trial.value)
     kept = yaml.safe_load((workshop / "outputs" / "tune" / "mgr-kinematic.yaml").read_text())
@@ -97,6 +102,45 @@ def test_a_search_in_which_every_trial_fails_ends(swarmtwin, workshop):
             "space: no option 'recipe.batch_sze': did you mean 'recipe.batch_size'?",
         ),
         (space(batch_size="{low: 8}"), "options: field 'space.recipe.batch_size': Value error, give low and high, or"),
+        (
+            space(batch_size="{low: 8, choices: [8]}"),
+            "options: field 'space.recipe.batch_size': Value error, give low and high, or choices",
+        ),
+        (
+            space(learning_rate="{low: 0.1, high: 0.1}"),
+            "options: field 'space.recipe.learning_rate': Value error, low 0.1 must be below high 0.1",
+        ),
+        (
+            space(weight_decay="{low: 0, high: 1, log: true}"),
+            "options: field 'space.recipe.weight_decay': Value error, log needs a low above 0, got 0",
+        ),
+        (space(batch_size="{choices: []}"), "options: field 'space.recipe.batch_size.choices': Tuple should have at"),
+        (
+            space(batch_size="{choices: [64, many]}"),
+            "space: recipe: field 'batch_size': Input should be a valid integer, unable to parse string as an integer",
+        ),
+        (
+            space(batch_size="{low: 8.5, high: 16}"),
+            "space: recipe.batch_size takes whole numbers: give such as low and",
+        ),
+        (
+            space(batch_size="{low: 1, high: 16}"),
+            "space: recipe: field 'batch_size': Input should be greater than or equal to 2, got 1",
+        ),
+        (
+            space(learning_rate="{low: -1, high: 1}"),
+            "space: recipe: field 'learning_rate': Input should be greater than 0, got -0.99",
+        ),
+        (["storage=foo://place"], "storage foo://place cannot be opened (Can't load plugin: sqlalchemy.dialects:foo):"),
+        (
+            ["storage=mysql://me:secret@place/studies"],
+            "storage mysql://me:***@place/studies cannot be opened (Failed to import DB access module",
+        ),
+        (
+            ["storage=reference"],
+            "storage reference cannot be opened (it is a folder): name a journal file, or a database",
+        ),
+        (["storage=reference/recording.yaml"], "storage reference/recording.yaml cannot be opened (Expecting value"),
         (["trials=0"], "options: field 'trials': Input should be greater than or equal to 1, got 0"),
         (["workers=0"], "options: field 'workers': Input should be greater than or equal to 1, got 0"),
         (["recording=elsewhere"], "no recording folder elsewhere"),
@@ -106,5 +150,81 @@ def test_a_mistake_is_one_line_and_starts_no_study(swarmtwin, workshop, options,
     answer = swarmtwin(*SEARCH, "workers=1", *options)
     assert answer.status == 1
     assert answer.error.startswith(f"swarmtwin tune: {message}")
-    assert len(answer.error.strip().splitlines()) == 1
+    assert "Traceback" not in answer.error
+    assert len([line for line in answer.error.splitlines() if "transitions kept" not in line]) == 1
     assert not (workshop / "outputs").exists()
+
+
+def test_failures_of_two_workers_count_and_are_told_in_one_line_each(swarmtwin, workshop, capfd):
+    hopeless = space(learning_rate="{low: 1.0e29, high: 1.0e30}")
+    answer = swarmtwin(*SEARCH, *hopeless, "model=mlp", "workers=2", "trials=3")
+    assert answer.status == 1
+    assert [trial.state for trial in study(workshop).get_trials()] == [TrialState.FAIL] * 3
+    told = capfd.readouterr().err + answer.error
+    assert "Traceback" not in told
+    assert len(re.findall(r"^trial \d failed: mlp: every seed is dead", told, re.MULTILINE)) == 3
+    assert len(re.findall("is dead", told)) == 3
+
+
+def test_a_trial_that_a_kill_left_behind_is_not_counted(swarmtwin, workshop):
+    assert swarmtwin(*SEARCH, "workers=1", "trials=1").status == 0
+    study(workshop).ask()
+    assert swarmtwin(*SEARCH, "workers=1", "trials=2").status == 0
+    assert [trial.state.name for trial in study(workshop).get_trials()] == ["COMPLETE", "RUNNING", "COMPLETE"]
+
+
+def test_a_study_left_unnamed_is_one_of_its_own_for_all_that_changes_its_losses(swarmtwin, workshop):
+    common = [*SEARCH[:-1], "workers=1", "trials=1"]
+    narrow = space(learning_rate="{low: 0.001, high: 0.002}")
+    changes = [
+        [],
+        ["recording=other_vehicle"],
+        ["recipe.epochs=2"],
+        ["recipe.weight_decay=0.2", *narrow],
+        narrow,
+        ["split.seed=2"],
+        ["split.fractions={train: 0.7, validation: 0.2, test: 0.1}"],
+        ["robot.largest_displacement.turn_rad=1.3"],
+        ["recording=pair", "vehicles=1"],
+        ["recording=pair", "vehicles=2"],
+    ]
+    journals = set()
+    for change in changes:
+        assert swarmtwin(*common, *change).status == 0
+        found = {path.stem for path in (workshop / "outputs" / "tune").glob("*.journal")}
+        assert len(found - journals) == 1, change
+        journals |= found
+    assert all(re.fullmatch("mgr-kinematic-[0-9a-f]{8}", name) for name in journals)
+    for same in ([], ["seed=2"], ["recipe.weight_decay=0.3"], ["trials=2"]):
+        assert swarmtwin(*common, *same).status == 0
+    assert {path.stem for path in (workshop / "outputs" / "tune").glob("*.journal")} == journals
+
+
+def test_a_named_study_takes_no_trials_of_anything_else(swarmtwin, workshop):
+    assert swarmtwin(*SEARCH, "workers=1", "trials=1").status == 0
+    answer = swarmtwin(*SEARCH, "recording=other_vehicle", "recipe.epochs=2", "workers=1", "trials=2")
+    assert answer.status == 1
+    assert answer.error.splitlines()[-1] == (
+        "swarmtwin tune: study 'mgr-kinematic' in outputs/tune/mgr-kinematic.journal was made for another recipe, data, "
+        "split: choose another study=..., or leave it out"
+    )
+    assert len(study(workshop).get_trials()) == 1
+
+
+@pytest.mark.parametrize(
+    ("option", "found", "kind"),
+    [
+        ("weight_decay", "{low: 0, high: 1}", float),
+        ("learning_rate", "{low: 0, high: 1}", float),
+        ("weight_decay", "{low: 0.0, high: 2.0}", float),
+        ("epochs", "{low: 1, high: 3}", int),
+        ("batch_size", "{low: 8.0, high: 16.0}", int),
+        ("batch_size", "{low: 128, high: 256, log: true}", int),
+    ],
+)
+def test_an_option_that_takes_fractions_is_searched_among_them(swarmtwin, workshop, option, found, kind):
+    swarmtwin(*SEARCH, *space(**{option: found}), "workers=1", "trials=2")
+    values = [trial.params[f"recipe.{option}"] for trial in study(workshop).get_trials()]
+    assert len(values) == 2
+    assert all(type(value) is kind for value in values)
+    assert kind is int or not any(value.is_integer() for value in values)

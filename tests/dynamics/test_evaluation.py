@@ -89,6 +89,24 @@ def test_a_floor_can_be_estimated_for_some_transitions_only(robots, dynamics):
     assert estimate.error.position_mm == pytest.approx(np.hypot(2, 4) * np.sqrt(np.pi / 2), rel=0.1)
 
 
+def test_a_floor_does_not_depend_on_how_the_runs_are_numbered(robots, dynamics):
+    transitions = toy_transitions(robots["mgr"], 2000, noise=(2.0, 2.0, 0.05))
+    spread = dataclasses.replace(transitions, run=5 * transitions.run + 3)
+    assert neighbour_floor(dynamics, spread) == neighbour_floor(dynamics, transitions)
+
+
+def test_a_floor_from_too_few_transitions_is_refused(robots, dynamics):
+    transitions = toy_transitions(robots["mgr"], 50)
+    for count in (1, 3):
+        with pytest.raises(UserError) as error:
+            neighbour_floor(dynamics, transitions.where(np.arange(50) < count))
+        assert str(error.value) == (
+            f"the floor cannot be estimated from {count} transitions of a vehicle: 2 inputs need at least 4; "
+            "record more runs"
+        )
+    assert np.isfinite(neighbour_floor(dynamics, transitions.where(np.arange(50) < 4)).error.position_mm)
+
+
 def test_a_plane_is_regressed_exactly_up_to_the_ridge():
     random = np.random.default_rng(0)
     inputs = random.uniform(-1, 1, (2000, 3))

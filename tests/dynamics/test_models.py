@@ -60,6 +60,36 @@ def test_a_configuration_without_a_name_is_refused():
         model_config({"dropout": 0.2}, "x")
 
 
+@pytest.mark.parametrize("name", model_names())
+@pytest.mark.parametrize(
+    "wrong",
+    [{"steps": 0}, {"learning_rate": -1}, {"learning_rate": 0}, {"situation": []}, {"situation": ["pose"]}],
+    ids=str,
+)
+def test_no_model_loosens_what_all_have_in_common(name, wrong):
+    with pytest.raises(UserError, match=f"^x: field '{next(iter(wrong))}"):
+        model_config({"name": name, **wrong}, "x")
+
+
+def test_a_situation_without_the_command_is_refused_and_told_what_to_do():
+    with pytest.raises(UserError) as error:
+        model_config({"name": "mlp", "situation": ["pose"]}, "model")
+    assert str(error.value) == (
+        "model: field 'situation': Value error, situation must contain 'command', "
+        "or be null for that of the robot's file"
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("mlp", {"layers": []}), ("mlp", {"layers": [128, 0]})]
+    + [(name, wrong) for name in ("lstm", "gru") for wrong in ({"layers": []}, {"layers": [0]}, {"hidden": 0})],
+)
+def test_layers_without_width_are_refused(name, wrong):
+    with pytest.raises(UserError, match=f"^x: field '{next(iter(wrong))}"):
+        model_config({"name": name, **wrong}, "x")
+
+
 @pytest.mark.parametrize(
     ("name", "parameters"), [("crnet", 95_511), ("fcnn", 126_019), ("cnn", 59_275), ("lstm", 64_483), ("gru", 54_979)]
 )

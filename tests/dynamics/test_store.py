@@ -84,6 +84,20 @@ def test_weights_that_are_not_finite_are_refused(robots, tmp_path):
     assert refusal(tmp_path) == f"{tmp_path}/weights.safetensors: network.0.bias is not finite; train the model anew"
 
 
+@pytest.mark.parametrize("name", ["model.yaml", "weights.safetensors"])
+def test_a_folder_in_place_of_a_file_is_refused(saved, name):
+    (saved / name).unlink()
+    (saved / name).mkdir()
+    assert refusal(saved) == f"{saved}/{name} is a folder and should be a file: train the model anew"
+
+
+def test_a_situation_that_is_not_the_models_is_refused(saved):
+    change_description(saved, situation=["command", "pose"])
+    assert refusal(saved) == (
+        f"{saved}/model.yaml: situation: command, pose is not what its model looks at: command; train the model anew"
+    )
+
+
 def test_an_unknown_model_or_field_is_refused(saved):
     change_description(saved, model={"name": "mlpp"})
     assert refusal(saved).startswith("no such dynamics model: 'mlpp': did you mean 'mlp'?")

@@ -1,4 +1,5 @@
 import dataclasses
+import errno
 import signal
 
 import numpy as np
@@ -109,6 +110,14 @@ def test_a_checkpoint_that_cannot_be_used_is_started_over(transitions, tmp_path,
     again = train(transitions, config(steps=20), recipe(), [1], checkpoints=tmp_path)
     assert again.best.history == expected.best.history
     assert "seed 1 starts anew: checkpoint" in caplog.text
+
+
+def test_a_full_disk_is_a_fault_of_the_system(transitions, tmp_path):
+    (tmp_path / "seed-1.partial").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device") as error:
+        train(transitions, config(steps=5), recipe(), [1], checkpoints=tmp_path)
+    assert error.value.errno == errno.ENOSPC
+    assert not list(tmp_path.iterdir())
 
 
 def test_seeds_in_processes_give_the_numbers_of_seeds_in_turn(transitions):
@@ -247,6 +256,17 @@ def test_a_recipe_fills_in_what_it_leaves_open():
     assert (filled.learning_rate, filled.epochs) == (0.03, 10)
     stated = recipe("paper").for_model(own, 1000)
     assert (stated.learning_rate, stated.epochs) == (0.005138, 40)
+
+
+def test_a_schedule_with_what_another_left_is_refused_and_told_what_to_do():
+    with pytest.raises(UserError) as error:
+        recipe("fast", schedule={"kind": "plateau", "warm_up": 0.1})
+    assert str(error.value) == (
+        "fast: field 'schedule': Value error, warm_up belongs to 'one_cycle', not to 'plateau': "
+        "take it away by ~recipe.schedule.warm_up"
+    )
+    with pytest.raises(UserError, match=r"take it away by ~recipe\.schedule\.patience ~recipe\.schedule\.factor$"):
+        recipe("fast", schedule={"kind": "one_cycle", "patience": 2, "factor": 0.5})
 
 
 def test_an_epoch_gives_out_each_transition_once_in_an_order_of_its_own():

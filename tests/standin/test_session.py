@@ -6,9 +6,11 @@ import pytest
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between, orientation_error_rad, position_error_mm
 from swarmtwin.standin import truth
+from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.operator import HELD_PERIODS
 from swarmtwin.standin.session import PAUSE_S, Session, film, require_stand_in
 
+JITTER = {"name": "timing_jitter", "spread": 0.3}
 STANDARD = ("command", "time_s", "pose", "state")
 
 
@@ -160,3 +162,24 @@ def test_several_vehicles_start_apart_and_share_the_clock(robots):
 def test_a_robot_without_a_stand_in_is_refused(robots):
     with pytest.raises(UserError, match="robot 'create' has no stand-in: known: mgr, mur"):
         require_stand_in(robots["create"])
+
+
+def test_a_robot_that_only_borrows_the_name_of_a_stand_in_is_refused(robots):
+    with pytest.raises(UserError) as refused:
+        require_stand_in(robots["mgr"].model_copy(update={"name": "mur"}))
+    assert str(refused.value) == (
+        "the stand-in of robot 'mur' is driven by mean_angle_deg, amplitude_deg, frequency_rad_s, not by left, right: "
+        "use conf/robot/mur.yaml, robot=mur"
+    )
+
+
+def test_a_run_begins_after_the_former_one_has_ended_however_long_its_periods_were(robots):
+    robot = robots["mgr"]
+    session = Session(robot, ("1",), 40, 600, 3, effects=parse_effects([JITTER], robot, 1))
+    time_s = film(session).time_s
+    late = time_s[:-1, -1] > np.arange(1, 40) * session.run_length_s
+    assert late.any()
+    assert not late.all()
+    pause_s = time_s[1:, 0] - time_s[:-1, -1]
+    assert pause_s.min() >= robot.period_s * (1 - 1e-9)
+    np.testing.assert_array_equal(film(replace(session, runs=9, planned_runs=40)).time_s, time_s[:9])

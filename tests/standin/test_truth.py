@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from swarmtwin.errors import UserError
@@ -132,3 +133,31 @@ def test_an_answer_book_is_read_as_it_was_written(robots, tmp_path):
 def test_a_recording_without_an_answer_book_says_so(tmp_path):
     with pytest.raises(UserError, match="only recordings of stand-ins made by `swarmtwin record` have an answer book"):
         truth.read_truth(tmp_path)
+
+
+def truncated(file):
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) // 2])
+
+
+DAMAGES = {
+    "empty": lambda file: file.write_bytes(b""),
+    "truncated": truncated,
+    "text": lambda file: file.write_text("run,vehicle,time_s"),
+    "a column short": lambda file: pd.read_parquet(file).drop(columns="everything_turn_rad").to_parquet(file),
+    "a folder": lambda file: (file.unlink(), file.mkdir()),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_answer_book_is_one_clear_error(tmp_path, damage):
+    columns = {"run": ["run_0001"], "vehicle": ["1"], "time_s": [0.0], **{name: [1.0] for name in truth.TRUTH_COLUMNS}}
+    truth.write_truth(tmp_path, pd.DataFrame(columns))
+    assert len(truth.read_truth(tmp_path)) == 1
+    damage(tmp_path / truth.TRUTH_FILE)
+    with pytest.raises(UserError) as refused:
+        truth.read_truth(tmp_path)
+    message = str(refused.value)
+    assert message.startswith(f"{tmp_path / truth.TRUTH_FILE} is damaged (")
+    assert message.endswith("): copy it again, or record again with the same options and seed")
+    assert "\n" not in message

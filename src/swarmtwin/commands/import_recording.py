@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, model_validator
 from rich.console import Console
 from rich.table import Table
 
+from swarmtwin.commands.sources import as_texts
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import new_folder
 from swarmtwin.recordings.mrclam import read_mrclam
@@ -24,11 +25,8 @@ Importer = Callable[[Path, Robot, tuple[str, ...] | None, float], tuple[Header, 
 IMPORTERS: dict[str, Importer] = {"mrclam": read_mrclam}
 
 
-def _ids(vehicles: Any) -> Any:
-    """On a command line, ids look like numbers: vehicles=1, vehicles=[1,2]."""
-    if isinstance(vehicles, str | int):
-        vehicles = [vehicles]
-    return [str(vehicle) for vehicle in vehicles] if isinstance(vehicles, list | tuple) else vehicles
+LONGEST_RUN_S = 86_400.0
+FEWEST_PERIODS = 2
 
 
 class Options(StrictModel):
@@ -37,11 +35,18 @@ class Options(StrictModel):
     robot: Robot
     source: str
     path: Path
-    vehicles: Annotated[tuple[str, ...] | None, BeforeValidator(_ids)]
-    run_s: Annotated[float, Field(gt=0)]
+    vehicles: Annotated[Annotated[tuple[str, ...], Field(min_length=1)] | None, BeforeValidator(as_texts)]
+    run_s: Annotated[float, Field(le=LONGEST_RUN_S)]
     output: Path
     format: FileFormat
     overwrite: bool
+
+    @model_validator(mode="after")
+    def _runs_hold_transitions(self) -> Self:
+        shortest_s = FEWEST_PERIODS * self.robot.period_s
+        if self.run_s < shortest_s:
+            raise ValueError(f"run_s {self.run_s:g} is too short: give at least two periods, {shortest_s:g}")
+        return self
 
 
 def run(options: Options) -> None:

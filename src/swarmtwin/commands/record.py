@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, Field
 from rich.console import Console
 from rich.table import Table
 
+from swarmtwin.commands.sources import as_texts
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import new_folder
 from swarmtwin.recordings.recording import Header, Recording, Track
@@ -22,20 +23,14 @@ from swarmtwin.standin.truth import answer_book, write_truth
 from swarmtwin.transitions import Counts, from_recording
 
 SPARE_RUNS = 2
-
-
-def _ids(vehicles: Any) -> Any:
-    """On a command line, ids look like numbers: vehicle=1, vehicle=[1,2]."""
-    if isinstance(vehicles, str | int):
-        vehicles = [vehicles]
-    return [str(vehicle) for vehicle in vehicles] if isinstance(vehicles, list | tuple) else vehicles
+MOST_ROWS = 20_000_000  # at some 1.4 kB of memory a row
 
 
 class Options(StrictModel):
     """Options of `swarmtwin record`; their defaults stand in conf/record.yaml."""
 
     robot: Robot
-    vehicle: Annotated[tuple[str, ...], BeforeValidator(_ids), Field(min_length=1)]
+    vehicle: Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]
     runs: Annotated[int, Field(ge=1)]
     steps: Annotated[int, Field(ge=1)]
     transitions: Annotated[int, Field(ge=1)] | None
@@ -69,7 +64,8 @@ def plan_session(options: Options) -> Session:
     """Return the session that the options ask for.
 
     Raises:
-        UserError: the robot has no stand-in, or an effect or the drive makes no sense for it.
+        UserError: the robot has no stand-in, an effect or the drive makes no sense for it, or the recording would be
+            too long.
     """
     require_stand_in(options.robot)
     if twice := sorted({vehicle for vehicle in options.vehicle if options.vehicle.count(vehicle) > 1}):
@@ -79,6 +75,7 @@ def plan_session(options: Options) -> Session:
     runs = options.runs
     if options.transitions:
         runs = -(-options.transitions // options.steps)
+    _check_size(runs, options.steps, len(options.vehicle))
     return Session(
         robot=options.robot,
         vehicles=options.vehicle,
@@ -93,6 +90,16 @@ def plan_session(options: Options) -> Session:
     )
 
 
+def _check_size(runs: int, steps: int, vehicles: int) -> None:
+    """Refuse what no memory holds, before anything is driven."""
+    rows = runs * (steps + 1) * vehicles
+    if rows > MOST_ROWS:
+        raise UserError(
+            f"a recording of {rows:,} rows ({runs:,} runs of {steps:,} steps, vehicles: {vehicles}) is too long: "
+            f"stay below {MOST_ROWS:,} rows, with several recordings if need be"
+        )
+
+
 def read_drive(path: Path, robot: Robot) -> np.ndarray:
     """Read commands (N, m) from a CSV file with the robot's command columns; further columns are left alone.
 
@@ -103,6 +110,8 @@ def read_drive(path: Path, robot: Robot) -> np.ndarray:
         table = pd.read_csv(path)
     except FileNotFoundError:
         raise UserError(f"drive {path} is missing: name a CSV file with {', '.join(robot.command_columns)}") from None
+    except OSError as error:
+        raise UserError(f"drive {path} cannot be read ({error.strerror}): name a CSV file") from None
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise UserError(f"drive {path} is no CSV file: {error}") from None
     for column, limits in robot.command.items():
@@ -120,7 +129,11 @@ def read_drive(path: Path, robot: Robot) -> np.ndarray:
 
 
 def record(session: Session, transitions: int | None = None) -> tuple[Footage, Recording]:
-    """Film a session; with `transitions`, as many runs as it takes until so many are usable, the last one cut there."""
+    """Film a session; with `transitions`, as many runs as it takes until so many are usable, the last one cut there.
+
+    Raises:
+        UserError: so few are usable that the recording would be too long.
+    """
     if transitions is None:
         footage = film(session)
         return footage, _recording(footage)
@@ -134,6 +147,7 @@ def record(session: Session, transitions: int | None = None) -> tuple[Footage, R
             return _cut(footage, recording, int(usable.run[last]), float(usable.time_s[last]))
         missing = transitions - counts.kept
         session = replace(session, runs=session.runs + missing // session.steps + SPARE_RUNS)
+        _check_size(session.runs, session.steps, len(session.vehicles))
 
 
 def _recording(footage: Footage) -> Recording:

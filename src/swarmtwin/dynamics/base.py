@@ -39,7 +39,7 @@ class Dynamics(lightning.LightningModule):
         self.automatic_optimization = False
         self.robot = robot
         self.config = config
-        self.parts = config.situation or robot.situation
+        self.parts = config.parts(robot)
         self.encoding = Encoding(robot, self.parts, config.scaling)
         self.network = config.build(robot, self.encoding.width)
         self.output_scaling = Scaling(3, config.scaling)

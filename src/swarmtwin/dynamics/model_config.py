@@ -2,15 +2,21 @@
 
 from typing import Annotated, ClassVar
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import nn
 
 from swarmtwin.dynamics.scaling import ScalingMethod
 from swarmtwin.robot import Positive, Robot, SituationPart, StrictModel
 
+Steps = Annotated[int, Field(ge=1)]
+Width = Annotated[int, Field(ge=1)]
+Widths = Annotated[tuple[Width, ...], Field(min_length=1)]
+
 
 class ModelConfig(StrictModel):
     """The configuration of a dynamics model, as in its `conf/model/<name>.yaml`.
+
+    A model that gives a field a default states its type again as it stands here: the limits are part of the type.
 
     Attributes:
         name: the model's name, that of its file.
@@ -24,8 +30,19 @@ class ModelConfig(StrictModel):
 
     name: str
     learning_rate: Positive
-    steps: Annotated[int, Field(ge=1)]
+    steps: Steps
     situation: tuple[SituationPart, ...] | None = None
+
+    @field_validator("situation")
+    @classmethod
+    def _with_command(cls, situation: tuple[SituationPart, ...] | None) -> tuple[SituationPart, ...] | None:
+        if situation is not None and "command" not in situation:
+            raise ValueError("situation must contain 'command', or be null for that of the robot's file")
+        return situation
+
+    def parts(self, robot: Robot) -> tuple[SituationPart, ...]:
+        """Return the parts of a situation that the model looks at."""
+        return self.situation or robot.situation
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:
         """Build the network: scaled inputs (N, inputs) → scaled displacements (N, 3).

@@ -1,5 +1,6 @@
 """What is kept while one seed trains: its history, its best weights, and a checkpoint from which it continues."""
 
+import io
 import logging
 import math
 from collections.abc import Callable
@@ -153,8 +154,13 @@ class Progress(lightning.Callback):
             "schedule": trainer.lr_scheduler_configs[0].scheduler.state_dict(),
         }
         aside = self.checkpoint.with_suffix(".partial")
-        torch.save(state, aside)
-        aside.replace(self.checkpoint)
+        content = io.BytesIO()  # a full disk is an OSError to Python, and none to torch
+        torch.save(state, content)
+        try:
+            aside.write_bytes(content.getbuffer())
+            aside.replace(self.checkpoint)
+        finally:
+            aside.unlink(missing_ok=True)
 
     def _read_checkpoint(self) -> dict[str, Any]:
         """Return the checkpoint's content; nothing if there is none, or if it is damaged or of another training."""

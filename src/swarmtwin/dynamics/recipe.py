@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterable
 from functools import partial
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, field_validator
 from torch import nn
 from torch.optim import AdamW, Optimizer
 from torch.optim.lr_scheduler import LambdaLR, LRScheduler, ReduceLROnPlateau
@@ -27,9 +27,9 @@ class Plateau(StrictModel):
     """The learning rate is cut when the validation loss has not improved for `patience` epochs (authors' code)."""
 
     kind: Literal["plateau"] = "plateau"
-    patience: int = 2
+    patience: Annotated[int, Field(ge=0)] = 2
     factor: Fraction = 0.5
-    lowest_learning_rate: float = 1e-6
+    lowest_learning_rate: Annotated[float, Field(ge=0)] = 1e-6
 
 
 class Recipe(StrictModel):
@@ -56,6 +56,19 @@ class Recipe(StrictModel):
     weight_decay: Annotated[float, Field(ge=0)]
     schedule: OneCycle | Plateau = Field(discriminator="kind")
     heading_loss_unit: Literal["rad", "deg"]
+
+    @field_validator("schedule", mode="before")
+    @classmethod
+    def _of_one_kind(cls, schedule: Any) -> Any:
+        """Refuse what another kind of schedule left: on the command line `kind` alone is easily changed."""
+        fields_of = {"one_cycle": OneCycle.model_fields, "plateau": Plateau.model_fields}
+        if not isinstance(schedule, dict) or (chosen := schedule.get("kind")) not in fields_of:
+            return schedule
+        for kind, fields in fields_of.items():
+            if kind != chosen and (left := [name for name in schedule if name in fields and name != "kind"]):
+                removed = " ".join(f"~recipe.schedule.{name}" for name in left)
+                raise ValueError(f"{', '.join(left)} belongs to {kind!r}, not to {chosen!r}: take it away by {removed}")
+        return schedule
 
     def for_model(self, config: ModelConfig, transitions: int) -> Self:
         """Fill in the model's own learning rate and steps where this recipe leaves them open.

@@ -3,12 +3,15 @@
 import math
 import multiprocessing
 import os
+import signal
 import time
+import traceback
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from threading import Thread
-from typing import Any, NamedTuple
+from typing import NamedTuple, Self
 
 import torch
 
@@ -19,6 +22,7 @@ from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.progress import Epoch, EpochReport
 from swarmtwin.dynamics.recipe import Recipe
 from swarmtwin.dynamics.training_data import TrainingData, training_data
+from swarmtwin.errors import UserError
 from swarmtwin.transitions import Transitions
 
 # What the first process of a program takes to import everything; measured on two cores.
@@ -55,7 +59,7 @@ class Job(NamedTuple):
         return step_s * len(batches) * self.recipe.epochs
 
     def _data(self) -> TrainingData:
-        return training_data(self.transitions, self.config.situation or self.transitions.robot.situation)
+        return training_data(self.transitions, self.config.parts(self.transitions.robot))
 
 
 def fit_all(jobs: Sequence[Job], report: EpochReport | None, processes: int | None) -> list[SeedResult]:
@@ -77,39 +81,80 @@ def _fit_in_turn(jobs: Sequence[Job], report: EpochReport | None) -> list[SeedRe
 
 
 def _fit_in_parallel(jobs: Sequence[Job], report: EpochReport | None, processes: int) -> list[SeedResult]:
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__])
-    reports: Any = context.SimpleQueue()
-    listener = Thread(target=_pass_on, args=(reports, report), daemon=True)
-    listener.start()
-    pool = ProcessPoolExecutor(processes, context, initializer=_send_reports_to, initargs=(reports,))
+    """Train each job in a process of its own. None outlives this call, nor, should it be killed, this process."""
+    waiting, workers = list(enumerate(jobs)), list[Worker]()
+    results: dict[int, SeedResult] = {}
     try:
-        results = list(pool.map(_fit_job, jobs))
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        raise
-    else:
-        pool.shutdown()
-        return results
+        while waiting or workers:
+            while waiting and len(workers) < processes:
+                workers.append(Worker.start(*waiting.pop(0)))
+            ready = wait([worker.messages for worker in workers])
+            for worker in [worker for worker in workers if worker.messages in ready]:
+                message = worker.receive()
+                if isinstance(message, SeedResult):
+                    results[worker.number] = message
+                    worker.process.join()
+                    workers.remove(worker)
+                elif report:
+                    report(*message)
     finally:
-        reports.put(None)
-        listener.join()
+        for worker in workers:
+            worker.process.kill()
+            worker.process.join()
+    return [results[number] for number in range(len(jobs))]
 
 
-_reports: Any = None
+class Worker(NamedTuple):
+    """A process that trains one job, given by its number, and the end of the pipe on which it tells of it."""
+
+    number: int
+    job: Job
+    process: BaseProcess
+    messages: Connection
+
+    @classmethod
+    def start(cls, number: int, job: Job) -> Self:
+        """Start the process."""
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload([__name__])
+        messages, sender = context.Pipe(duplex=False)
+        process = context.Process(target=_work, args=(job, sender), daemon=True)
+        process.start()
+        sender.close()
+        return cls(number, job, process, messages)
+
+    def receive(self) -> SeedResult | tuple[int, int, Epoch]:
+        """Wait for its next message: the arguments of an epoch's report, or its result as the last one.
+
+        Raises:
+            UserError: the process was killed.
+            Exception: the training raised it.
+        """
+        try:
+            message: SeedResult | tuple[int, int, Epoch] | Exception = self.messages.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            raise UserError(
+                f"seed {self.job.seed}: the process that trained it ended with exit code {self.process.exitcode}, "
+                "as when memory runs out: make room and run the same command again"
+            ) from None
+        if isinstance(message, Exception):
+            raise message
+        return message
 
 
-def _send_reports_to(reports: Any) -> None:
-    global _reports
-    _reports = reports
+def _work(job: Job, sender: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group: the trainer ends its workers
+    Thread(target=_end_with_the_trainer, daemon=True).start()
+    try:
+        sender.send(job.run(lambda *epoch: sender.send(epoch)))
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        sender.send(error)
 
 
-def _fit_job(job: Job) -> SeedResult:
-    return job.run(lambda seed, number, epoch: _reports.put((seed, number, tuple(epoch))))
-
-
-def _pass_on(reports: Any, report: EpochReport | None) -> None:
-    while (message := reports.get()) is not None:
-        if report:
-            seed, number, errors = message
-            report(seed, number, Epoch(*errors))
+def _end_with_the_trainer() -> None:
+    trainer = multiprocessing.parent_process()
+    assert trainer is not None
+    trainer.join()
+    os._exit(1)

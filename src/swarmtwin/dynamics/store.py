@@ -65,11 +65,17 @@ def read_description(folder: Path) -> Description:
         content = yaml.safe_load(path.read_text())
     except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"no model in {folder}: {DESCRIPTION} is missing; name a folder that train made") from None
+    except IsADirectoryError:
+        raise _folder_in_place_of_file(path) from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise UserError(f"{path} is damaged: {' '.join(str(error).split())}; train the model anew") from None
     if isinstance(content, dict) and content.get("format") != 1:
         raise UserError(f"{path}: format {content.get('format')!r} is not known here: update swarmtwin, or train anew")
     return Description.parse(content, str(path))
+
+
+def _folder_in_place_of_file(path: Path) -> UserError:
+    return UserError(f"{path} is a folder and should be a file: train the model anew")
 
 
 def load_dynamics(folder: Path) -> Dynamics:
@@ -81,6 +87,11 @@ def load_dynamics(folder: Path) -> Dynamics:
     folder = Path(folder)
     description = read_description(folder)
     config = model_config(description.model, f"{folder / DESCRIPTION}: model")
+    if (parts := config.parts(description.robot)) != description.situation:
+        raise UserError(
+            f"{folder / DESCRIPTION}: situation: {', '.join(description.situation) or 'nothing'} is not what its model "
+            f"looks at: {', '.join(parts)}; train the model anew"
+        )
     weights = _read_weights(folder / WEIGHTS)
     try:
         return Dynamics.with_weights(description.robot, config, weights)
@@ -91,6 +102,8 @@ def load_dynamics(folder: Path) -> Dynamics:
 
 
 def _read_weights(path: Path) -> dict[str, torch.Tensor]:
+    if path.is_dir():
+        raise _folder_in_place_of_file(path)
     try:
         weights: dict[str, torch.Tensor] = load_file(path)
     except FileNotFoundError:

@@ -9,7 +9,7 @@ import datetime
 import itertools
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +28,8 @@ COMMAND_COLUMNS = ("v_mm_s", "omega_rad_s")
 # Poses come every 15 ms, commands too while they change; the drivers log nothing for up to 1 s, the command standing.
 LONGEST_POSE_GAP_S = 0.1
 LONGEST_HOLD_S = 1.1
+LONGEST_SESSION_S = 86_400.0
+LATEST_S = 4_102_444_800.0  # the year 2100
 
 logger = logging.getLogger(__name__)
 
@@ -67,8 +69,8 @@ def read_mrclam(
     chosen = _chosen_vehicles(folder, vehicles)
     poses = {vehicle: _read_stream(_pose_file(folder, vehicle), POSE_FIELDS) for vehicle in chosen}
     commands = {vehicle: _read_stream(_command_file(folder, vehicle), COMMAND_FIELDS) for vehicle in chosen}
-    session_s = min(float(stream.time_s[0]) for stream in poses.values())
-    ticks = int(np.ceil((max(float(stream.time_s[-1]) for stream in poses.values()) - session_s) / robot.period_s)) + 1
+    session_s, end_s = _session(folder, poses)
+    ticks = int(np.ceil((end_s - session_s) / robot.period_s)) + 1
     time_s = np.arange(ticks) * robot.period_s
     tracks = []
     for vehicle in chosen:
@@ -86,6 +88,16 @@ def read_mrclam(
         started_at=datetime.datetime.fromtimestamp(session_s, datetime.UTC).isoformat(timespec="milliseconds"),
     )
     return header, sorted(tracks, key=lambda track: (track.run, track.vehicle))
+
+
+def _session(folder: Path, poses: Mapping[str, _Stream]) -> tuple[float, float]:
+    """Return when the first pose and the last were measured, in s since 1970."""
+    start_s = min(float(stream.time_s[0]) for stream in poses.values())
+    end_s = max(float(stream.time_s[-1]) for stream in poses.values())
+    if end_s - start_s > LONGEST_SESSION_S:
+        apart = f"the robots' poses were measured up to {(end_s - start_s) / 86_400:.1f} days apart"
+        raise fault(folder, apart, "use files of one and the same data set")
+    return start_s, end_s
 
 
 def _pose_file(folder: Path, vehicle: str) -> Path:
@@ -120,16 +132,27 @@ def _read_stream(file: Path, fields: Sequence[str]) -> _Stream:
     if len(complete) < len(content):
         logger.warning("%s: its last row is cut off and left out", file)
     try:
-        rows = [line for line in complete.decode().splitlines() if line.partition("#")[0].strip()]
-        if not rows:
+        lines = complete.decode().splitlines()
+        filled = [number for number, line in enumerate(lines, start=1) if line.partition("#")[0].strip()]
+        if not filled:
             raise fault(file, "there are no rows", "copy it again from the data set")
-        values = np.loadtxt(rows, ndmin=2)
+        values = np.loadtxt([lines[number - 1] for number in filled], ndmin=2)
     except ValueError:
         raise _damaged_row(file, complete, fields) from None
     if values.shape[1] != len(fields) or not np.isfinite(values).all():
         raise _damaged_row(file, complete, fields)
+    _check_times(file, values[:, 0], filled)
     time_s, first = np.unique(values[:, 0], return_index=True)
     return _Stream(time_s, values[first, 1:])
+
+
+def _check_times(file: Path, time_s: np.ndarray, row_numbers: Sequence[int]) -> None:
+    """Refuse times (S,) that no data set has, or that lie far from most of the file's."""
+    from_most_s = np.abs(time_s - np.median(time_s))
+    strays = np.flatnonzero((np.abs(time_s) > LATEST_S) | (from_most_s > LONGEST_SESSION_S))
+    if len(strays):
+        what = f"time {time_s[strays[0]]:g} s is more than a day from most others, or beyond the year 2100"
+        raise fault(file, what, "copy the file again from the data set", row=row_numbers[strays[0]], column="time")
 
 
 def _damaged_row(file: Path, content: bytes, fields: Sequence[str]) -> UserError:

@@ -16,7 +16,12 @@ from swarmtwin.standin.operator import Manner, Plan, steer
 from swarmtwin.standin.physics import Period, Physics, advance
 from swarmtwin.standin.streams import Streams
 
-STAND_INS = ("mgr", "mur")
+STAND_INS = {
+    "mgr": ("left", "right"),
+    "mur": ("mean_angle_deg", "amplitude_deg", "frequency_rad_s"),
+}
+"""The robots that have a stand-in, each with the command columns that its physics takes."""
+
 PAUSE_S = 5.0
 NOISE_TYPE = np.float32
 
@@ -117,10 +122,15 @@ def require_stand_in(robot: Robot) -> None:
     """Refuse a robot without a stand-in.
 
     Raises:
-        UserError: there is none, naming those that have one.
+        UserError: there is none, naming those that have one, or it is driven by other commands.
     """
     if robot.name not in STAND_INS:
         raise UserError(f"robot {robot.name!r} has no stand-in: {near_miss(robot.name, STAND_INS)}")
+    if robot.command_columns != STAND_INS[robot.name]:
+        raise UserError(
+            f"the stand-in of robot {robot.name!r} is driven by {', '.join(STAND_INS[robot.name])}, "
+            f"not by {', '.join(robot.command_columns)}: use conf/robot/{robot.name}.yaml, robot={robot.name}"
+        )
 
 
 def film(session: Session, purpose: str = "session") -> Footage:
@@ -170,8 +180,17 @@ def _clock(session: Session, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
     nominal = np.full((run_count, step_count), session.robot.period_s)
     duration_s = session.conditions.durations(nominal, streams.of("clock"))
     since_start = np.concatenate([np.zeros((run_count, 1)), np.cumsum(duration_s, axis=1)], axis=1)
-    run_start_s = np.arange(run_count) % session.runs * session.run_length_s
-    return run_start_s[:, None] + since_start, duration_s
+    run_start_s = _run_starts(session, since_start[:, -1].reshape(session.repeats, session.runs))
+    return run_start_s.reshape(-1, 1) + since_start, duration_s
+
+
+def _run_starts(session: Session, length_s: np.ndarray) -> np.ndarray:
+    """Return when runs of lengths (repeats, R) begin, in s: as planned, or a period after a run that ended late."""
+    start_s = np.tile(np.arange(session.runs) * session.run_length_s, (session.repeats, 1))
+    for run in range(1, session.runs):
+        earliest_s = start_s[:, run - 1] + length_s[:, run - 1] + session.robot.period_s
+        start_s[:, run] = np.maximum(start_s[:, run], earliest_s)
+    return start_s
 
 
 def _played(session: Session) -> np.ndarray | None:

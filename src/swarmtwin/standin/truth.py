@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between
@@ -180,11 +181,18 @@ def read_truth(folder: Path) -> pd.DataFrame:
     """Read a stand-in recording's answer book: columns run, vehicle, time_s and `TRUTH_COLUMNS`, in mm and rad.
 
     Raises:
-        UserError: there is none, since the recording is of a real robot.
+        UserError: there is none, since the recording is of a real robot, or it is damaged.
     """
     path = Path(folder) / TRUTH_FILE
     if not path.exists():
         raise UserError(
             f"{path} is missing: only recordings of stand-ins made by `swarmtwin record` have an answer book"
         )
-    return pd.read_parquet(path)
+    columns = ["run", "vehicle", "time_s", *TRUTH_COLUMNS]
+    try:
+        return pd.read_parquet(path, columns=columns)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise UserError(
+            f"{path} is damaged ({reason}): copy it again, or record again with the same options and seed"
+        ) from None

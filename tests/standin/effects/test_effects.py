@@ -12,6 +12,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.standin import effects as effects_package
 from swarmtwin.standin import truth
+from swarmtwin.standin.conditions import Conditions
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.effects import catalogue, parse_effects
 from swarmtwin.standin.session import Session, film
@@ -194,3 +195,15 @@ REFUSED = [
 def test_what_makes_no_sense_is_refused_with_a_reason(robots, robot, entry, message):
     with pytest.raises(UserError, match=f"^{re.escape(message)}"):
         parse_effects([entry], robots[robot], 1)
+
+
+def test_delays_together_are_no_longer_than_a_period(robots):
+    def delays(*delays_s):
+        return parse_effects([{"name": "command_delay", "delay_s": delay_s} for delay_s in delays_s], robots["mgr"], 1)
+
+    assert Conditions(robots["mgr"], delays(0.1, 0.1, 0.3)).delay_s == pytest.approx(0.5)
+    with pytest.raises(UserError) as refused:
+        delays(0.3, 0.3)
+    assert str(refused.value) == (
+        "effect 'command_delay': delay_s 0.6 is longer than the period of 'mgr': give at most 0.5, all delays together"
+    )

@@ -6,9 +6,9 @@ from typing import ClassVar, Literal
 from torch import Tensor, nn
 
 from swarmtwin.dynamics.layers import LEAK, PointwiseConvolution
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.model_config import ModelConfig, Steps
 from swarmtwin.dynamics.scaling import ScalingMethod
-from swarmtwin.robot import Robot
+from swarmtwin.robot import Positive, Robot
 
 CHANNELS = (1, 8, 64, 96, 32)
 
@@ -45,8 +45,8 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "unit_range"
 
     name: Literal["cnn"] = "cnn"
-    learning_rate: float = 0.01
-    steps: int = 1000
+    learning_rate: Positive = 0.01
+    steps: Steps = 1000
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:
         """Build the CNN."""

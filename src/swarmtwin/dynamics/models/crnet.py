@@ -7,9 +7,9 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from swarmtwin.dynamics.layers import PointwiseConvolution
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.model_config import ModelConfig, Steps
 from swarmtwin.dynamics.scaling import ScalingMethod
-from swarmtwin.robot import Robot
+from swarmtwin.robot import Positive, Robot
 
 CHANNELS = 64
 HIDDEN = 5
@@ -60,8 +60,8 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "unit_range"
 
     name: Literal["crnet"] = "crnet"
-    learning_rate: float = 0.01
-    steps: int = 1000
+    learning_rate: Positive = 0.01
+    steps: Steps = 1000
     dropout: Annotated[float, Field(ge=0, lt=1)] = 0.1
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:

@@ -5,9 +5,9 @@ from typing import ClassVar, Literal
 from torch import nn
 
 from swarmtwin.dynamics.layers import normalised_layers
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.model_config import ModelConfig, Steps
 from swarmtwin.dynamics.scaling import ScalingMethod
-from swarmtwin.robot import Robot
+from swarmtwin.robot import Positive, Robot
 
 
 class Config(ModelConfig):
@@ -20,8 +20,8 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "unit_range"
 
     name: Literal["fcnn"] = "fcnn"
-    learning_rate: float = 0.01
-    steps: int = 1000
+    learning_rate: Positive = 0.01
+    steps: Steps = 1000
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:
         """Build FC-NN."""

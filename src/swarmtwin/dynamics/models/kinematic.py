@@ -7,11 +7,11 @@ from typing import ClassVar, Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.model_config import ModelConfig, Steps
 from swarmtwin.dynamics.scaling import ScalingMethod
 from swarmtwin.dynamics.twist import integrate_twist
 from swarmtwin.errors import UserError
-from swarmtwin.robot import Kinematics, Robot
+from swarmtwin.robot import Kinematics, Positive, Robot
 
 
 class Quantity(NamedTuple):
@@ -146,8 +146,8 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "physical"
 
     name: Literal["kinematic"] = "kinematic"
-    learning_rate: float = 0.03
-    steps: int = 500
+    learning_rate: Positive = 0.03
+    steps: Steps = 500
     situation: tuple[Literal["command"]] = ("command",)
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:

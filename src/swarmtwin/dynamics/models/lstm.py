@@ -5,9 +5,9 @@ from typing import ClassVar, Literal
 from torch import nn
 
 from swarmtwin.dynamics.layers import RecurrentNetwork
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.model_config import ModelConfig, Steps, Width, Widths
 from swarmtwin.dynamics.scaling import ScalingMethod
-from swarmtwin.robot import Robot
+from swarmtwin.robot import Positive, Robot
 
 
 class Config(ModelConfig):
@@ -20,10 +20,10 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "unit_range"
 
     name: Literal["lstm"] = "lstm"
-    learning_rate: float = 0.01
-    steps: int = 1000
-    hidden: int = 96
-    layers: tuple[int, ...] = (160, 64)
+    learning_rate: Positive = 0.01
+    steps: Steps = 1000
+    hidden: Width = 96
+    layers: Widths = (160, 64)
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:
         """Build the LSTM."""

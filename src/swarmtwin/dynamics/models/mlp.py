@@ -1,14 +1,13 @@
 """A plain, well-tuned multi-layer perceptron: the baseline that the paper's comparison lacks."""
 
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field
 from torch import nn
 
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.model_config import ModelConfig, Steps, Widths
 from swarmtwin.dynamics.scaling import ScalingMethod
-from swarmtwin.robot import Robot
+from swarmtwin.robot import Positive, Robot
 
 
 class Config(ModelConfig):
@@ -17,9 +16,9 @@ class Config(ModelConfig):
     scaling: ClassVar[ScalingMethod] = "standard"
 
     name: Literal["mlp"] = "mlp"
-    learning_rate: float = 0.01
-    steps: int = 1000
-    layers: Annotated[tuple[int, ...], Field(min_length=1)] = (128, 128)
+    learning_rate: Positive = 0.01
+    steps: Steps = 1000
+    layers: Widths = (128, 128)
 
     def build(self, robot: Robot, inputs: int) -> nn.Module:
         """Build the perceptron."""

@@ -10,6 +10,8 @@ from swarmtwin.errors import UserError, near_miss
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
 
+ROUNDING_S = 1e-9
+
 
 @cache
 def catalogue() -> dict[str, type[Effect]]:
@@ -26,7 +28,8 @@ def parse_effects(entries: Sequence[Any], robot: Robot, vehicle_count: int) -> t
     """Make effects of their configuration, `[{name: battery_sag, loss: 0.3}, ...]`; what is left out has its default.
 
     Raises:
-        UserError: an unknown effect or parameter, a value out of bounds, or an effect that this robot cannot have.
+        UserError: an unknown effect or parameter, a value out of bounds, or an effect that this robot cannot have, or
+            delays that together are longer than its period.
     """
     effects = []
     for entry in entries:
@@ -37,4 +40,10 @@ def parse_effects(entries: Sequence[Any], robot: Robot, vehicle_count: int) -> t
             raise UserError(f"effects: unknown effect {name!r}: {near_miss(name, catalogue())}")
         parameters = {key: value for key, value in entry.items() if key != "name"}
         effects.append(catalogue()[name].parse(parameters, f"effect {name!r}").on(robot, vehicle_count))
+    late_s = sum(effect.lateness_s() for effect in effects)
+    if late_s > robot.period_s + ROUNDING_S:
+        raise UserError(
+            f"effect 'command_delay': delay_s {late_s:g} is longer than the period of {robot.name!r}: "
+            f"give at most {robot.period_s:g}, all delays together"
+        )
     return tuple(effects)
