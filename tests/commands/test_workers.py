@@ -68,7 +68,7 @@ def test_each_call_has_a_process_of_its_own(tmp_path):
 
 
 def test_an_error_in_every_process_is_raised_once(tmp_path, capfd):
-    with pytest.raises(UserError, match="^no (one|two) here: try another$"):
+    with pytest.raises(UserError, match=r"^no (one|two) here: try another$"):
         work_side_by_side(refuse, calls(tmp_path))
     assert capfd.readouterr().err == ""
 
