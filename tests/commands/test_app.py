@@ -56,6 +56,8 @@ def test_a_command_runs_and_its_output_knows_its_configuration(recording, workpl
             2,
             "no such robot: 'mgrr': did you mean 'mgr'? known: create, mgr, mur",
         ),
+        (["prepare", "splt.seed=1", "output=out"], 2, "unknown option 'splt.seed': did you mean 'split'?"),
+        (["train", "vehicles=[]", "recording=none", "output=out"], 1, "field 'vehicles': Tuple should have at least 1"),
         (["prepare", "output=out"], 2, "option 'recording' is missing: add recording=..."),
         (
             ["prepare", "recording=none", "output=out", "split.seed=x"],

@@ -101,12 +101,12 @@ def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str
         return text.splitlines()[0]
     if unknown := re.search(r"Could not override '([^']+)'", text):
         option = unknown.group(1)
-        return f"unknown option {option!r}: {near_miss(option, _known_options(config_name, option, arguments))}"
+        return f"unknown option {option!r}: {near_miss(*_unknown_and_known(config_name, option, arguments))}"
     return " ".join(text.split())
 
 
-def _known_options(config_name: str, option: str, arguments: Sequence[str]) -> list[str]:
-    """List the options of a command beside `option`: those at the same depth and under the same parent."""
+def _unknown_and_known(config_name: str, option: str, arguments: Sequence[str]) -> tuple[str, list[str]]:
+    """Return the first part of a dotted `option` that does not exist, and the options there are in its place."""
     shipped = {f"{path.parent.name}={path.stem}" for path in config_folder().glob("*/*.yaml")}
     with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = hydra.compose(config_name)
@@ -114,10 +114,10 @@ def _known_options(config_name: str, option: str, arguments: Sequence[str]) -> l
         config = hydra.compose(config_name, choices)
     parent = option.rpartition(".")[0]
     if parent and OmegaConf.select(config, parent) is None:
-        return _known_options(config_name, parent, arguments)
+        return _unknown_and_known(config_name, parent, arguments)
     node = OmegaConf.select(config, parent) if parent else config
     prefix = f"{parent}." if parent else ""
-    return [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
+    return option, [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
 
 
 def _experiments() -> list[str]:

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.commands.sources import as_texts
+from swarmtwin.commands.sources import Vehicles
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import new_folder
 from swarmtwin.recordings.mrclam import read_mrclam
@@ -35,7 +35,7 @@ class Options(StrictModel):
     robot: Robot
     source: str
     path: Path
-    vehicles: Annotated[Annotated[tuple[str, ...], Field(min_length=1)] | None, BeforeValidator(as_texts)]
+    vehicles: Vehicles
     run_s: Annotated[float, Field(le=LONGEST_RUN_S)]
     output: Path
     format: FileFormat

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.recordings.reading import read_recording
@@ -28,7 +28,7 @@ def as_texts(value: Any) -> Any:
     return [str(item) for item in value] if isinstance(value, list | tuple) else value
 
 
-Vehicles = Annotated[tuple[str, ...] | None, BeforeValidator(as_texts)]
+Vehicles = Annotated[Annotated[tuple[str, ...], Field(min_length=1)] | None, BeforeValidator(as_texts)]
 """Ids of vehicles as typed in a command, where they look like numbers: vehicles=1, vehicles=[1,2]."""
 
 
