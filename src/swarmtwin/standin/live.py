@@ -1,0 +1,93 @@
+"""Stand-ins driven live: told one command at a time, as a policy or a controller tells it, and measured after each."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swarmtwin.errors import UserError
+from swarmtwin.robot import Robot
+from swarmtwin.standin.effect import Effect
+from swarmtwin.standin.physics import Period, advance
+from swarmtwin.standin.session import NOISE_TYPE, Session, photograph, require_stand_in
+from swarmtwin.standin.streams import Streams
+
+
+class LiveVehicles:
+    """W groups of the same V vehicles, moved by the physics that `record` films and seen by its camera, every marker.
+
+    Each group has its own chances and its own session, which begins when its vehicles are placed.
+
+    Attributes:
+        robot: whose vehicles they are.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        vehicles: Sequence[str],
+        groups: int,
+        seed: int,
+        effects: Sequence[Effect] = (),
+        planned_steps: int = 1,
+    ) -> None:
+        """Switch on the vehicles with these ids, which stand at the arena's origin until they are placed.
+
+        Args:
+            robot: one that has a stand-in.
+            vehicles: ids of the V vehicles of each group; fabrication depends on them alone.
+            groups: how many drive side by side, W.
+            seed: of the motion's noise, the link's and the camera's.
+            effects: what the stand-ins are told to do.
+            planned_steps: control periods in a session, for what ages; after them all have aged to the end.
+
+        Raises:
+            UserError: the robot has no stand-in, or a vehicle is named twice.
+        """
+        require_stand_in(robot)
+        if twice := sorted({vehicle for vehicle in vehicles if list(vehicles).count(vehicle) > 1}):
+            raise UserError(f"vehicle {twice[0]!r} is named twice: give each id once")
+        self.robot = robot
+        self._planned_s = planned_steps * robot.period_s
+        self._session = Session(robot, tuple(vehicles), groups, planned_steps, seed, effects)
+        self._physics = self._session.physics(vehicles)
+        self._streams = Streams(seed)
+        self._state = self._physics.at_rest(np.zeros((3, groups, len(vehicles))))
+        self._active = np.empty((len(robot.command), groups, len(vehicles)))
+        self._active[:] = np.reshape(self._physics.resting_command, (-1, 1, 1))
+        self._elapsed_s = np.zeros(groups)
+
+    def place(self, worlds: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Put the vehicles of the groups at indices (n,) to true poses (n, V, 3), just switched on.
+
+        Returns:
+            (n, V, 3) their poses as the camera measures them.
+        """
+        self._state[:, worlds] = self._physics.at_rest(np.moveaxis(pose.astype(float), -1, 0))
+        self._active[:, worlds] = np.reshape(self._physics.resting_command, (-1, 1, 1))
+        self._elapsed_s[worlds] = 0.0
+        return self._measured(worlds)
+
+    def move(self, command: np.ndarray) -> np.ndarray:
+        """Send commands (W, V, m), in the robot's units, and let one period pass.
+
+        Returns:
+            (W, V, 3) the poses at its end, as the camera measures them.
+        """
+        conditions, physics = self._session.conditions, self._physics
+        groups, vehicles = self._state.shape[1:]
+        lost = self._streams.of("link").random((groups, vehicles)) < conditions.loss_probability
+        arriving = np.where(lost, self._active, np.moveaxis(command, -1, 0))
+        nominal_s = np.full((groups, 1), self.robot.period_s)
+        duration_s = conditions.durations(nominal_s, self._streams.of("clock"))
+        progress = np.minimum(self._elapsed_s / self._planned_s, 1.0)[:, None]
+        noise_shape = (groups, physics.substeps, physics.noises, vehicles)
+        noise = self._streams.of("motion").standard_normal(noise_shape, NOISE_TYPE)
+        period = Period(arriving, self._active, duration_s, progress)
+        self._state = advance(physics, self._state, period, noise.transpose(1, 2, 0, 3))
+        self._active = arriving
+        self._elapsed_s = self._elapsed_s + duration_s[:, 0]
+        return self._measured(np.arange(groups))
+
+    def _measured(self, worlds: np.ndarray) -> np.ndarray:
+        true = np.moveaxis(self._state[:3, worlds], 0, -1)
+        return photograph(self._session, self._physics, true, self._streams)

@@ -1,0 +1,179 @@
+"""What the vehicles are asked to do: where they start, what they see, what they earn, what counts as a success."""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from swarmtwin.errors import UserError
+from swarmtwin.robot import Positive, Robot, StrictModel
+from swarmtwin.world.scene import Scene
+
+ROUNDING = 1e-9
+LOST = 0.5
+"""A vehicle this far outside the arena, as a share of its shorter side, is lost."""
+
+Count = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(gt=0, le=1)]
+
+
+class TaskConfig(StrictModel):
+    """The configuration of a task, as in its `conf/task/<name>.yaml`; each task file ends in its own kind of it.
+
+    Attributes:
+        name: the task's name, that of its YAML.
+        kind: the file in `tasks/` that plays it.
+        vehicles: how many there are, K.
+        steps: control periods in a roll-out.
+        reach_mm: a vehicle is at its target within this distance of it.
+        hold_s: the target is reached once all vehicles have been at it for this long, in a row.
+        margin_mm: starts keep this distance from the arena's border.
+        outside_mm: a vehicle whose centre is further outside the arena than this has left it.
+    """
+
+    name: str
+    kind: str
+    vehicles: Count
+    steps: Count
+    reach_mm: Positive
+    hold_s: NotNegative
+    margin_mm: NotNegative
+    outside_mm: NotNegative
+
+    def build(self, robot: Robot) -> "Task":
+        """Return the task for a robot.
+
+        Raises:
+            UserError: it cannot be done by this robot in its arena.
+        """
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Events:
+    """What has happened to W · K vehicles, each (W, K).
+
+    Attributes:
+        collided: it is too near another one, or touches an obstacle.
+        left_arena: it is outside the arena.
+        at_target: it is within reach of the target.
+    """
+
+    collided: np.ndarray
+    left_arena: np.ndarray
+    at_target: np.ndarray
+
+
+class Task(ABC):
+    """One task of one robot: pure functions of a scene and of poses (W, K, 3).
+
+    Attributes:
+        robot: whose vehicles it is for.
+        config: its configuration.
+        ends_early: whether a roll-out ends with the first collision, or with the target reached.
+        observation_names: what the numbers of an observation are, in order.
+        hold_steps: steps in a row at the target that count as having reached it, at least 1.
+    """
+
+    ends_early: ClassVar[bool]
+    observation_names: tuple[str, ...]
+
+    def __init__(self, robot: Robot, config: TaskConfig) -> None:
+        self.robot = robot
+        self.config: Any = config
+        self.hold_steps = max(1, math.ceil(config.hold_s / robot.period_s - ROUNDING))
+        self._check_margin()
+        self._check_within_time()
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles there are, K."""
+        return int(self.config.vehicles)
+
+    @property
+    def steps(self) -> int:
+        """How many control periods a roll-out has, T."""
+        return int(self.config.steps)
+
+    @property
+    def observation_size(self) -> int:
+        """How many numbers a vehicle observes, o."""
+        return len(self.observation_names)
+
+    @property
+    def legs(self) -> int:
+        """How many targets are to be reached, one after the other, G."""
+        return 1
+
+    @abstractmethod
+    def draw(self, rng: np.random.Generator, worlds: int) -> Scene:
+        """Draw the scenes of some worlds."""
+
+    @abstractmethod
+    def observe(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+        """Return what each vehicle sees, (W, K, o) float32."""
+
+    @abstractmethod
+    def reward(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+        """Return what each vehicle earns for being where it is, (W, K)."""
+
+    @abstractmethod
+    def collided(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+        """Return whether each vehicle collides with anything, (W, K)."""
+
+    def events(self, scene: Scene, pose: np.ndarray) -> Events:
+        """Return what has happened to each vehicle."""
+        arena, tolerance_mm = self.robot.arena_mm, self.config.outside_mm
+        position = pose[..., :2]
+        outside = (position < arena.low_mm - tolerance_mm) | (position > arena.high_mm + tolerance_mm)
+        at_target = self.target_distance_mm(scene, pose) <= self.config.reach_mm
+        return Events(self.collided(scene, pose), outside.any(axis=-1), at_target)
+
+    def lost(self, pose: np.ndarray) -> np.ndarray:
+        """Return whether a vehicle of a world is so far outside the arena that no model knows what it does there, (W,).
+
+        It has failed long before; its roll-out stops, so that nothing is learned from such places.
+        """
+        arena = self.robot.arena_mm
+        far_mm = LOST * min(arena.high_mm - arena.low_mm)
+        position = pose[..., :2]
+        return np.any((position < arena.low_mm - far_mm) | (position > arena.high_mm + far_mm), axis=(1, 2))
+
+    def target_distance_mm(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+        """Return how far each vehicle is from the target it seeks, (W, K)."""
+        away = pose[..., :2] - scene.target[:, None]
+        return np.hypot(away[..., 0], away[..., 1])
+
+    def refusal(self, what: str, remedy: str) -> UserError:
+        """Return the error that says why this robot cannot do this task, and what to change."""
+        return UserError(f"task {self.config.name!r}: {what}; {remedy} (conf/task/{self.config.name}.yaml)")
+
+    @property
+    def start_room_mm(self) -> tuple[np.ndarray, np.ndarray]:
+        """The corners (2,) and (2,) of the rectangle that starts are drawn from."""
+        arena, margin_mm = self.robot.arena_mm, self.config.margin_mm
+        return arena.low_mm + margin_mm, arena.high_mm - margin_mm
+
+    def _check_margin(self) -> None:
+        low, high = self.start_room_mm
+        if not (low < high).all():
+            raise self.refusal(
+                f"a margin of {self.config.margin_mm:g} mm leaves no room in the arena of {self.robot.name!r}",
+                "lower margin_mm",
+            )
+
+    def _check_within_time(self) -> None:
+        size_mm = self.robot.arena_mm.high_mm - self.robot.arena_mm.low_mm
+        step_mm = self.robot.largest_displacement.forward_mm
+        across = max(0, math.ceil((float(np.hypot(*size_mm)) - self.config.reach_mm) / step_mm))
+        needed = self.legs * (across + self.hold_steps)
+        if self.steps < needed:
+            raise self.refusal(
+                f"{self.robot.name!r} moves at most {step_mm:g} mm a step, so in {self.steps} steps it cannot reach "
+                "every target from everywhere in its arena and hold it",
+                f"raise steps to {needed} or more",
+            )

@@ -1,0 +1,120 @@
+import numpy as np
+import pytest
+import torch
+from play import dynamics_of, robot_named, task_named
+
+from swarmtwin.dynamics.registry import model_names
+from swarmtwin.dynamics.situation import ALL_PARTS, Situation
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import compose
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.world import World
+
+START = np.array([[(300.0, 300.0, 0.5), (700.0, 300.0, -2.0)], [(300.0, 700.0, 3.0), (500.0, 500.0, 1.0)]])
+
+
+class Witness(torch.nn.Module):
+    """Stands in for a dynamics model: keeps what it is given and moves everything as told."""
+
+    parts = ALL_PARTS
+
+    def __init__(self, robot, displacement):
+        super().__init__()
+        self.robot, self.displacement, self.seen = robot, torch.tensor(displacement), []
+
+    def forward(self, situation):
+        self.seen.append(situation)
+        return self.displacement.expand(len(situation), 3)
+
+
+def at_start(dynamics):
+    motion = SimulatedMotion(dynamics, 2, 2)
+    assert np.array_equal(motion.place(np.arange(2), START), START)
+    return motion
+
+
+@pytest.mark.parametrize("name", model_names())
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_every_model_moves_vehicles_as_it_predicts(name, robot):
+    robot = robot_named(robot)
+    dynamics = dynamics_of(robot, name)
+    motion = at_start(dynamics)
+    command = np.random.default_rng(0).uniform(robot.command_low, robot.command_high, (2, 2, len(robot.command)))
+    parts = {"command": command.reshape(4, -1), "pose": START.reshape(4, 3)}
+    tensors = {part: torch.as_tensor(parts[part], dtype=torch.float32) for part in dynamics.parts}
+    with torch.inference_mode():
+        displacement = dynamics(Situation(**tensors)).numpy().astype(float).reshape(2, 2, 3)
+    assert np.array_equal(motion.move(command), compose(START, displacement))
+
+
+def test_a_model_is_told_the_pose_the_command_before_and_the_time():
+    robot = robot_named("mgr")
+    witness = Witness(robot, [10.0, 0.0, 0.1])
+    motion = at_start(witness)
+    first, second = np.full((2, 2, 2), 30.0), np.full((2, 2, 2), -40.0)
+    moved = motion.move(first)
+    motion.move(second)
+    before, after = witness.seen
+    assert before.previous_command.isnan().all()
+    assert torch.equal(before.command, torch.full((4, 2), 30.0))
+    assert torch.equal(after.previous_command, before.command)
+    assert torch.equal(after.command, torch.full((4, 2), -40.0))
+    assert np.allclose(before.pose.numpy(), START.reshape(4, 3))
+    assert np.allclose(after.pose.numpy(), moved.reshape(4, 3))
+    assert before.elapsed_s.tolist() == [0.0] * 4
+    assert after.elapsed_s.tolist() == [0.5] * 4
+    assert after.duration_s.tolist() == [0.5] * 4
+
+
+def test_placed_vehicles_have_no_past_and_the_others_keep_theirs():
+    witness = Witness(robot_named("mgr"), [10.0, 0.0, 0.0])
+    motion = at_start(witness)
+    motion.move(np.full((2, 2, 2), 30.0))
+    motion.place(np.array([1]), START[1:])
+    pose = motion.move(np.full((2, 2, 2), 50.0))
+    situation = witness.seen[-1]
+    assert situation.previous_command[:2].tolist() == [[30.0, 30.0]] * 2
+    assert situation.previous_command[2:].isnan().all()
+    assert situation.elapsed_s.tolist() == [0.5, 0.5, 0.0, 0.0]
+    assert pose[1] == pytest.approx(compose(START[1], np.array([(10.0, 0, 0)] * 2)))
+
+
+def test_straight_ahead_is_along_the_heading():
+    motion = at_start(Witness(robot_named("mgr"), [10.0, 0.0, 0.0]))
+    shift = motion.move(np.zeros((2, 2, 2)))[..., :2] - START[..., :2]
+    assert shift == pytest.approx(10 * np.stack([np.cos(START[..., 2]), np.sin(START[..., 2])], axis=-1))
+
+
+def test_a_pose_given_out_is_not_changed_afterwards():
+    motion = at_start(Witness(robot_named("mgr"), [10.0, 0.0, 0.0]))
+    pose = motion.move(np.zeros((2, 2, 2)))
+    kept = pose.copy()
+    motion.place(np.array([0]), START[1:])
+    motion.move(np.zeros((2, 2, 2)))
+    assert np.array_equal(pose, kept)
+
+
+def test_large_batches_are_predicted_in_parts_with_the_same_result(monkeypatch):
+    dynamics = dynamics_of(robot_named("mur"), "mlp")
+    command = np.random.default_rng(1).uniform(0, 9, (2, 2, 3))
+    whole = at_start(dynamics).move(command)
+    monkeypatch.setattr("swarmtwin.world.motion.CHUNK", 3)
+    assert at_start(dynamics).move(command) == pytest.approx(whole, abs=1e-4)
+
+
+def test_a_broken_model_is_refused():
+    dynamics = dynamics_of(robot_named("mgr"), "mlp")
+    with torch.no_grad():
+        next(dynamics.network.parameters()).fill_(torch.nan)
+    with pytest.raises(UserError, match="the dynamics model 'mlp' of 'mgr' predicts a displacement that is not finite"):
+        at_start(dynamics).move(np.zeros((2, 2, 2)))
+
+
+def test_a_model_of_all_parts_plays_a_task_and_draws_no_random_number():
+    task = task_named("collective")
+    dynamics = dynamics_of(task.robot, "mlp", ALL_PARTS)
+    before = torch.random.get_rng_state()
+    world = World(task, SimulatedMotion(dynamics, 2, 5), 2, 0)
+    for _ in range(3):
+        assert np.isfinite(world.step(np.full(world.shape, 60.0)).observation).all()
+    assert torch.equal(before, torch.random.get_rng_state())

@@ -1,0 +1,74 @@
+import warnings
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+from play import TASKS, dynamics_of, one_world, robot_named, task_named
+
+from swarmtwin.errors import UserError
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.parallel_env import parallel_env
+
+
+def env_of(name, **options):
+    task = task_named(name)
+    return parallel_env(task, SimulatedMotion(dynamics_of(task.robot, "mlp"), 1, task.vehicles), **options)
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_it_keeps_pettingzoos_contract_without_a_warning(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(env_of(name), num_cycles=200)
+        parallel_seed_test(lambda: env_of(name), num_cycles=60)
+
+
+def test_spaces_are_those_of_robot_and_task():
+    env = env_of("pair")
+    assert env.possible_agents == ["vehicle_0", "vehicle_1"]
+    space = env.action_space("vehicle_1")
+    assert space.low.tolist() == [-79, 0, 3]
+    assert space.high.tolist() == [79, 60, 9]
+    observations, _ = env.reset(seed=1)
+    assert all(env.observation_space(agent).contains(seen) for agent, seen in observations.items())
+
+
+def test_all_vehicles_end_together_when_the_time_is_up():
+    env = env_of("collective")
+    env.reset(seed=0)
+    for count in range(1, 151):
+        _, rewards, terminated, truncated, infos = env.step({agent: np.zeros(2) for agent in env.agents})
+        assert set(rewards) == set(env.possible_agents)
+        assert set(truncated.values()) == {count == 150}
+        assert not any(terminated.values())
+    assert env.agents == []
+    with pytest.raises(ValueError, match="all vehicles have ended: reset the environment"):
+        env.step({})
+    assert set(infos["vehicle_4"]) == {"collided", "left_arena", "at_target", "reached"}
+
+
+def test_a_collision_is_told_to_the_vehicles_concerned():
+    env = env_of("collective")
+    task = env.world.task
+    pose = [(200.0, 200.0, 0.0), (240.0, 200.0, 0.0), (800.0, 200.0, 0.0), (200.0, 800.0, 0.0), (800.0, 800.0, 0.0)]
+    env.world.start(one_world(task, pose, (500.0, 500.0)))
+    *_, infos = env.step({agent: np.zeros(2) for agent in env.agents})
+    assert [infos[agent]["collided"] for agent in env.possible_agents] == [True, True, False, False, False]
+
+
+def test_it_is_rendered_where_that_is_asked_for():
+    env = env_of("collective", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step({agent: np.zeros(2) for agent in env.agents})
+    assert env.render().shape == (720, 674, 3)
+    assert env_of("collective").render() is None
+
+
+def test_misuse_is_named():
+    with pytest.raises(UserError, match="no such render mode: 'rgb_aray': did you mean 'rgb_array'"):
+        env_of("collective", render_mode="rgb_aray")
+    with pytest.raises(UserError, match="the task is for robot 'mgr' and its motion is that of 'mur'"):
+        parallel_env(task_named("collective"), SimulatedMotion(dynamics_of(robot_named("mur"), "mlp"), 1, 5))
+    env = env_of("pair")
+    with pytest.raises(ValueError, match="no action for vehicle_1"):
+        env.step({"vehicle_0": np.zeros(3)})

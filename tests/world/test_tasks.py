@@ -1,0 +1,221 @@
+import numpy as np
+import pytest
+import yaml
+from play import CONF, TASKS, moved, one_world, robot_named, task_named, world_of
+
+from swarmtwin.errors import UserError
+from swarmtwin.world.registry import config_class, task_config, task_kinds
+
+
+def test_every_kind_of_task_has_a_configuration():
+    kinds = {yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text())["kind"] for name in TASKS}
+    assert kinds == set(task_kinds())
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_every_shipped_task_is_typed_in_full_and_plays(name):
+    content = yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text())
+    assert content["name"] == name
+    assert set(content) == set(config_class(content["kind"]).model_fields)
+    task = task_named(name)
+    world = world_of(task, worlds=4)
+    step = world.step(np.tile(task.robot.command_high, (4, task.vehicles, 1)))
+    assert step.observation.shape == (4, task.vehicles, len(task.observation_names))
+    assert step.observation.dtype == np.float32
+    assert len(set(task.observation_names)) == task.observation_size
+    assert np.isfinite(step.observation).all()
+    assert np.isfinite(step.reward).all()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_scenes_begin_without_a_collision_inside_the_arena_and_away_from_the_target(name):
+    task = task_named(name)
+    scene = task.draw(np.random.default_rng(1), 500)
+    events = task.events(scene, scene.start)
+    assert not events.collided.any()
+    assert not events.left_arena.any()
+    low, high = task.start_room_mm
+    assert (scene.start[..., :2] >= low).all()
+    assert (scene.start[..., :2] <= high).all()
+    assert (np.abs(scene.start[..., 2]) <= np.pi).all()
+    assert not events.at_target.any()
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_the_same_seed_draws_the_same_scenes_and_another_seed_others(name):
+    task = task_named(name)
+    first, again, other = (task.draw(np.random.default_rng(seed), 5) for seed in (1, 1, 2))
+    assert np.array_equal(first.start, again.start)
+    assert np.array_equal(first.targets, again.targets)
+    assert not np.array_equal(first.start, other.start)
+
+
+def test_starts_are_uniform_headings_too():
+    scene = task_named("collective").draw(np.random.default_rng(3), 2000)
+    assert np.abs(scene.start[..., :2].mean(axis=(0, 1)) - 515).max() < 15
+    assert abs(np.exp(1j * scene.start[..., 2]).mean()) < 0.03
+
+
+def test_targets_lie_in_the_inner_half_and_apart():
+    collective = task_named("collective").draw(np.random.default_rng(1), 500)
+    assert collective.targets.min() >= 1030 / 4
+    assert collective.targets.max() <= 3 * 1030 / 4
+    first, second = np.moveaxis(task_named("pair").draw(np.random.default_rng(1), 500).targets, 1, 0)
+    assert np.hypot(*(second - first).T).min() >= 500
+
+
+def test_the_obstacle_lies_across_the_way():
+    task = task_named("obstacle")
+    scene = task.draw(np.random.default_rng(1), 500)
+    start, target, centre = scene.start[:, 0, :2], scene.targets[:, 0], scene.obstacles[:, 0, :2]
+    way = target - start
+    along = ((centre - start) * way).sum(axis=1) / (way**2).sum(axis=1)
+    aside = np.abs(way[:, 0] * (centre - start)[:, 1] - way[:, 1] * (centre - start)[:, 0]) / np.hypot(*way.T)
+    assert ((along > 0) & (along < 1)).all()
+    assert (aside < scene.obstacles[:, 0, 2]).all()
+    assert (np.hypot(*(centre - target).T) > scene.obstacles[:, 0, 2] + task.half_vehicle_mm).all()
+
+
+@pytest.mark.parametrize(
+    ("distances", "expected"),
+    [
+        ((149.9, 500.0), (-5.0, -20 * 500 / 1400)),
+        ((150.0, 500.0), (-20 * 150 / 1400, -20 * 500 / 1400)),
+        ((700.0, 1400.0), (-10.0, -20.0)),
+        ((100.0, 0.0), (-10.0, -10.0)),
+        ((300.0, 160.0), (-20 * 300 / 1400 - 5, -20 * 160 / 1400 - 5)),
+        ((310.0, 160.0), (-20 * 310 / 1400, -20 * 160 / 1400)),
+    ],
+)
+def test_equation_3_by_hand(distances, expected):
+    """Two vehicles on the x axis at these distances from the target; nearer than 150 mm to each other costs 5."""
+    task = task_named("collective", vehicles=2)
+    pose = [(100.0 + distance, 500.0, 0.7) for distance in distances]
+    scene = one_world(task, pose, (100.0, 500.0))
+    assert task.reward(scene, scene.start)[0] == pytest.approx(expected)
+
+
+def test_equation_3_counts_every_near_neighbour_once_and_150_mm_is_not_near():
+    task = task_named("collective", vehicles=4)
+    pose = [(400.0, 500.0, 0.0), (500.0, 500.0, 0.0), (600.0, 500.0, 0.0), (750.0, 500.0, 0.0)]
+    scene = one_world(task, pose, (400.0, 900.0))
+    target = -20 * np.hypot(np.array([0, 100, 200, 350]), 400) / 1400
+    assert task.reward(scene, scene.start)[0] == pytest.approx(target - 5 * np.array([1, 2, 1, 0]))
+
+
+def test_the_obstacles_reward_by_hand():
+    task = task_named("obstacle")
+    gone_wrong = one_world(task, [(300.0, 300.0, 0.0)], (300.0, 900.0), (300.0, 420.0, 80.0))
+    near = one_world(task, [(300.0, 300.0, 0.0)], (300.0, 900.0), (300.0, 450.0, 80.0))
+    reached = one_world(task, [(300.0, 300.0, 0.0)], (300.0, 380.0), (700.0, 450.0, 80.0))
+    assert task.reward(gone_wrong, gone_wrong.start)[0, 0] == pytest.approx(-600 / 1400 - 0.5 - 5)
+    assert task.reward(near, near.start)[0, 0] == pytest.approx(-600 / 1400 - 0.5)
+    assert task.reward(reached, reached.start)[0, 0] == pytest.approx(1 - 80 / 1400)
+
+
+def test_a_collision_is_nearer_than_100_mm_and_has_two_sides():
+    task = task_named("collective", vehicles=3)
+    for distance, collide in ((99.9, True), (100.0, False)):
+        pose = [(300.0, 300.0, 0.0), (300.0 + distance, 300.0, 0.0), (700.0, 700.0, 0.0)]
+        scene = one_world(task, pose, (500.0, 500.0))
+        assert task.collided(scene, scene.start)[0].tolist() == [collide, collide, False]
+
+
+def test_the_obstacle_is_touched_at_half_a_vehicle_from_its_edge():
+    task = task_named("obstacle")
+    for distance, touches in ((124.9, True), (125.0, False)):
+        scene = one_world(task, [(300.0, 300.0, 0.0)], (900.0, 900.0), (300.0 + distance, 300.0, 80.0))
+        assert task.collided(scene, scene.start)[0, 0] == touches
+
+
+@pytest.mark.parametrize("name", ["collective", "obstacle"])
+def test_what_is_seen_and_earned_does_not_depend_on_the_arenas_frame(name):
+    task = task_named(name)
+    scene = task.draw(np.random.default_rng(5), 50)
+    for shift, turn_rad in (((300.0, -80.0), 0.0), ((0.0, 0.0), np.pi / 2), ((-900.0, 40.0), 2.3)):
+        other, pose = moved(scene, scene.start, shift, turn_rad)
+        assert task.observe(other, pose) == pytest.approx(task.observe(scene, scene.start), abs=1e-6)
+        assert task.reward(other, pose) == pytest.approx(task.reward(scene, scene.start))
+
+
+def test_the_pool_looks_the_same_turned_by_half_a_turn_but_not_shifted():
+    task = task_named("pair")
+    scene = task.draw(np.random.default_rng(5), 50)
+    turned, pose = moved(scene, scene.start, (2000.0, 1000.0), np.pi)
+    assert task.observe(turned, pose) == pytest.approx(task.observe(scene, scene.start), abs=1e-6)
+    shifted, pose = moved(scene, scene.start, (100.0, 0.0))
+    seen = np.abs(task.observe(shifted, pose) - task.observe(scene, scene.start)).max(axis=(0, 1))
+    walls = [name.startswith("wall") for name in task.observation_names]
+    assert seen[~np.array(walls)].max() < 1e-6
+    assert seen[walls].min() > 0.01
+
+
+@pytest.mark.parametrize("name", ["collective", "pair"])
+def test_which_neighbour_is_which_does_not_show(name):
+    task = task_named(name, vehicles=4) if name == "collective" else task_named(name)
+    scene = task.draw(np.random.default_rng(7), 50)
+    order = np.array([2, 0, 3, 1]) if name == "collective" else np.array([1, 0])
+    permuted = scene.start[:, order]
+    assert np.array_equal(task.observe(scene, permuted), task.observe(scene, scene.start)[:, order])
+    assert task.reward(scene, permuted) == pytest.approx(task.reward(scene, scene.start)[:, order])
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "message"),
+    [
+        ("collective", {"vehicles": 100}, "100 vehicles can never be within 250 mm of a target at once"),
+        (
+            "collective",
+            {"vehicles": 50, "reach_mm": 350, "separation_mm": 150},
+            "50 vehicles do not fit into the arena of 'mgr' with 150 mm between them: about ",
+        ),
+        ("collective", {"margin_mm": 515}, "a margin of 515 mm leaves no room in the arena of 'mgr'; lower margin_mm"),
+        ("collective", {"steps": 20}, "it cannot reach every target from everywhere in its arena and hold it"),
+        ("collective", {"collision_mm": 50}, "collision_mm 50 is less than the width of 'mgr', 84 mm"),
+        ("collective", {"separation_mm": 90}, "separation_mm 90 is less than collision_mm 100"),
+        ("collective", {"targets": 2, "targets_apart_mm": 900}, "lower targets_apart_mm to 364 or less"),
+        ("obstacle", {"distance_mm": 100}, "leaves no room for the obstacle"),
+        ("obstacle", {"radius_mm": [60, 400]}, "an obstacle of 400 mm does not fit between start and target"),
+    ],
+)
+def test_a_task_that_cannot_be_done_is_refused(name, changes, message):
+    with pytest.raises(UserError) as error:
+        task_named(name, **changes)
+    assert message in str(error.value)
+    assert str(error.value).startswith(f"task {name!r}: ")
+    assert str(error.value).endswith(f"(conf/task/{name}.yaml)")
+
+
+def test_a_task_for_another_size_of_robot_is_refused():
+    with pytest.raises(UserError, match="collision_mm 100 is less than the width of 'mur', 160 mm"):
+        task_named("collective", robot=robot_named("mur"))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (
+            {"kind": "colective"},
+            "no such kind of task: 'colective': did you mean 'collective'? known: collective, ",
+        ),
+        ({"name": "collective"}, "x: field 'kind' is missing: it says which task; known: collective, obstacle"),
+        ({"vehicles": 1}, "x: field 'vehicles': Input should be greater than or equal to 2, got 1"),
+        ({"reech_mm": 1}, "x: unknown field 'reech_mm': did you mean 'reach_mm'?"),
+    ],
+)
+def test_a_wrong_configuration_is_refused(content, message):
+    shipped = yaml.safe_load((CONF / "task" / "collective.yaml").read_text())
+    whole = content if "name" in content else {**shipped, **content}
+    with pytest.raises(UserError) as error:
+        task_config(whole, "x")
+    assert message in str(error.value)
+
+
+def test_as_many_as_are_said_to_fit_do_fit():
+    with pytest.raises(UserError) as error:
+        task_named("collective", vehicles=40, reach_mm=300)
+    fitting = int(str(error.value).split("about ")[1].split()[0])
+    task = task_named("collective", vehicles=fitting, reach_mm=300)
+    scene = task.draw(np.random.default_rng(0), 20)
+    assert scene.start.shape == (20, fitting, 3)
+    assert not task.collided(scene, scene.start).any()
