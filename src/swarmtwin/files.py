@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Sequence
@@ -63,6 +64,15 @@ def write_text(path: Path, text: str) -> None:
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def folder_digest(folder: Path) -> str:
+    """Return a digest of what makes a model folder that model: its weights and its description."""
+    content = hashlib.sha256()
+    for file in sorted(folder.iterdir()):
+        if file.suffix in (".safetensors", ".yaml", ".onnx"):
+            content.update(file.name.encode() + b"\0" + file.read_bytes())
+    return content.hexdigest()[:16]
 
 
 def check_output(path: Path, command: str, overwrite: bool, inputs: Sequence[Path] = ()) -> None:

@@ -1,6 +1,5 @@
 """Registered models: versions of `<robot>-dynamics`, the newest as `challenger`, the promoted one as `champion`."""
 
-import hashlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from pathlib import Path
 import mlflow
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import folder_digest
 from swarmtwin.tracking import store_errors, use_store
 
 CHALLENGER, CHAMPION = "challenger", "champion"
@@ -145,15 +145,6 @@ def roll_back(name: str) -> tuple[int, int]:
         client.set_registered_model_alias(name, CHAMPION, former[-1])
         _remember(client, name, former[:-1])
     return deposed.number, int(former[-1])
-
-
-def folder_digest(folder: Path) -> str:
-    """Return a digest of what makes a model folder that model: its weights and its description."""
-    content = hashlib.sha256()
-    for file in sorted(folder.iterdir()):
-        if file.suffix in (".safetensors", ".yaml", ".onnx"):
-            content.update(file.name.encode() + b"\0" + file.read_bytes())
-    return content.hexdigest()[:16]
 
 
 def _names(client: mlflow.MlflowClient) -> list[str]:

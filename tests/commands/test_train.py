@@ -12,6 +12,7 @@ import pytest
 from swarmtwin import registry
 from swarmtwin.dynamics.progress import Progress
 from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.files import folder_digest
 from swarmtwin.tracking import use_store
 
 MLP = ("train", "recording=reference", "model=mlp", "model.steps=150", "recipe.batch_size=128")
@@ -95,8 +96,8 @@ def test_a_run_is_tracked_and_its_model_registered_as_challenger(swarmtwin, work
     assert {name: metrics["validation"][name] for name in errors} == errors
     challenger = registry.find_version("models:/mgr-dynamics@challenger")
     assert challenger.number == 2
-    assert challenger.tags["digest"] == registry.folder_digest(workshop / "seed-5")
-    assert registry.folder_digest(challenger.folder()) == registry.folder_digest(workshop / "seed-5")
+    assert challenger.tags["digest"] == folder_digest(workshop / "seed-5")
+    assert folder_digest(challenger.folder()) == folder_digest(workshop / "seed-5")
 
 
 def test_without_registering_there_is_no_version(swarmtwin):

@@ -12,7 +12,7 @@ from swarmtwin.commands.measurement import Measured, Measurement, load_simulatio
 from swarmtwin.commands.sources import Vehicles, read_vehicles
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.figures import runs_figure, scatter_figure
-from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.files import check_output, folder_digest, new_folder, write_text
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.tracking import tracked_run
 
@@ -48,7 +48,7 @@ def run(options: Options) -> None:
             write_text(folder / "metrics.json", json.dumps({**about, **measurement.metrics()}, indent=1) + "\n")
             _draw(folder, measurement, recording.header.arena_mm)
         tracked.metrics(measurement.overall.tracked())
-        tracked.tag("simulation.digest", registry.folder_digest(simulation))
+        tracked.tag("simulation.digest", folder_digest(simulation))
         tracked.folder(options.output, "evaluation")
     Console().print(table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)

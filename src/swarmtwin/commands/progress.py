@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from swarmtwin.dynamics.progress import Epoch, EpochReport
+from swarmtwin.policies.stage import Stage, StageReport
 
 
 @contextmanager
@@ -27,5 +28,27 @@ def training_bars(name: str, epochs: int) -> Iterator[EpochReport]:
                 tasks[seed] = bars.add_task(f"{name}, seed {seed}", total=epochs, errors="")
             errors = f"{epoch.validation_position_mm:.2f} mm  {epoch.validation_orientation_deg:.2f}°"
             bars.update(tasks[seed], completed=number, errors=errors)
+
+        yield report
+
+
+@contextmanager
+def learning_bars(name: str, steps: int) -> Iterator[StageReport]:
+    """Show a bar for each seed while policies are learned; give the function that moves them."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[evaluation]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        tasks: dict[int, TaskID] = {}
+
+        def report(seed: int, done: int, stage: Stage | None) -> None:
+            if seed not in tasks:
+                tasks[seed] = bars.add_task(f"{name}, seed {seed}", total=steps, evaluation="")
+            evaluation = f"success {stage.success:.0%}  reward {stage.reward:.2f}" if stage else ""
+            bars.update(tasks[seed], completed=done, evaluation=evaluation)
 
         yield report

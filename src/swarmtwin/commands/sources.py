@@ -51,10 +51,19 @@ def training_transitions(
     folder = transitions or Path("artifacts/transitions") / robot.name
     if transitions is None and not folder.is_dir():
         raise UserError(f"no transitions in {folder}: run `dvc repro` first, or give recording=... or transitions=...")
+    return *prepared_transitions(folder, robot), folder
+
+
+def prepared_transitions(folder: Path, robot: Robot) -> tuple[Transitions, Preparation]:
+    """Read transitions with their splits, real or synthetic, and how they came about.
+
+    Raises:
+        UserError: there are none, they are damaged, or of another robot.
+    """
     preparation = load_preparation(folder)
     if preparation.robot != robot.name:
         raise UserError(f"{folder} holds transitions of robot {preparation.robot!r}: add robot={preparation.robot}")
-    return load_transitions(folder), preparation, folder
+    return load_transitions(folder), preparation
 
 
 def read_vehicles(folder: Path, robot: Robot, vehicles: Vehicles) -> Recording:

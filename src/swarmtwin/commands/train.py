@@ -14,7 +14,7 @@ from rich.table import Table
 from swarmtwin import registry
 from swarmtwin.commands.outputs import output_folder
 from swarmtwin.commands.progress import training_bars
-from swarmtwin.commands.sources import Vehicles, training_transitions
+from swarmtwin.commands.sources import Vehicles, prepared_transitions, training_transitions
 from swarmtwin.dynamics.figures import history_figure
 from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
@@ -25,7 +25,7 @@ from swarmtwin.dynamics.training import Trained, train
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking import TrackedRun, tracked_run
-from swarmtwin.transitions import Preparation, SplitOptions, Transitions
+from swarmtwin.transitions import Preparation, SplitOptions, Transitions, mix
 
 CHECKPOINTS = "checkpoints"
 
@@ -40,6 +40,8 @@ class Options(StrictModel):
     transitions: Path | None
     recording: Path | None
     vehicles: Vehicles
+    synthetic: Path | None
+    real_share: Annotated[float, Field(gt=0, lt=1)]
     seed: Seed
     seeds: Annotated[int, Field(ge=1)]
     register_model: Annotated[bool, Field(alias="register")]
@@ -54,16 +56,14 @@ def run(options: Options) -> None:
         UserError: no usable transitions, an unknown model, every seed dead, or the output is taken.
     """
     config = model_config(options.model, "model")
-    transitions, preparation, source = training_transitions(
-        options.robot, options.transitions, options.recording, options.vehicles, options.split
-    )
+    transitions, preparation, sources = _transitions(options)
     name = f"{options.robot.name}-{config.name}"
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
-    check_output(output, "train", options.overwrite, [source])
-    with tracked_run("dynamics", name, settings, [source], options.seed) as tracked:
+    check_output(output, "train", options.overwrite, sources)
+    with tracked_run("dynamics", name, settings, sources, options.seed) as tracked:
         started = time.monotonic()
-        with new_folder(output, "train", settings, options.overwrite, keep_partial=True, inputs=[source]) as folder:
+        with new_folder(output, "train", settings, options.overwrite, keep_partial=True, inputs=sources) as folder:
             trained = _train(options, config, transitions, folder / CHECKPOINTS)
             provenance = _provenance(trained, preparation)
             _save(folder, trained, provenance)
@@ -76,6 +76,17 @@ def run(options: Options) -> None:
             registered = f"registered as {version}, its challenger"
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
+
+
+def _transitions(options: Options) -> tuple[Transitions, Preparation, list[Path]]:
+    """Return what to train on, how it came about, and the folders it comes from."""
+    transitions, preparation, source = training_transitions(
+        options.robot, options.transitions, options.recording, options.vehicles, options.split
+    )
+    if options.synthetic is None:
+        return transitions, preparation, [source]
+    synthetic = prepared_transitions(options.synthetic, options.robot)
+    return *mix((transitions, preparation), synthetic, options.real_share), [source, options.synthetic]
 
 
 def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:
@@ -124,6 +135,9 @@ def _track(tracked: TrackedRun, trained: Trained, provenance: Provenance, second
     tracked.history((number, epoch._asdict()) for number, epoch in enumerate(trained.best.history, start=1))
     tracked.tag("recording", provenance.recording)
     tracked.tag("recording.digest", provenance.digest)
+    tracked.tag("origin", provenance.origin)
+    if provenance.generator:
+        tracked.tag("generator.digest", provenance.generator.digest)
 
 
 def _table(name: str, provenance: Provenance) -> Table:

@@ -2,18 +2,11 @@
 
 import hashlib
 import json
-import logging
-import signal
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-import lightning
 import numpy as np
 import torch
-from lightning.pytorch.plugins.environments import LightningEnvironment
 
 from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.batches import OrderedBatches, ShuffledBatches
@@ -22,11 +15,10 @@ from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.progress import Epoch, EpochReport, Progress
 from swarmtwin.dynamics.recipe import Recipe
 from swarmtwin.dynamics.training_data import TrainingData
+from swarmtwin.trainer import one_thread, run_trainer
 
 # With fewer steps a live network can still be as good as constant.
 STEPS_TO_JUDGE = 100
-
-logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
 
 
 class SeedResult(NamedTuple):
@@ -72,36 +64,11 @@ def fit_seed(
         identity = _identity(config, recipe, data, seed)
         progress = Progress(seed, identity, batches, recipe.heading_weight, checkpoint, report)
         if (left := recipe.epochs - len(progress.history)) and not progress.diverged:
-            _run_trainer(dynamics, progress, batches, OrderedBatches(*data.validation), left)
+            run_trainer(dynamics, progress, batches, OrderedBatches(*data.validation), epochs=left)
         dynamics.load_state_dict(progress.best_weights or dynamics.state_dict())
         weights = {name: tensor.numpy().copy() for name, tensor in dynamics.state_dict().items()}
         dead = _why_dead(dynamics.eval(), progress, data)
     return SeedResult(seed, tuple(progress.history), weights, progress.best_epoch, progress.best_loss, dead)
-
-
-def _run_trainer(
-    dynamics: Dynamics, progress: Progress, batches: ShuffledBatches, validation: OrderedBatches, epochs: int
-) -> None:
-    trainer = lightning.Trainer(
-        accelerator="cpu",
-        devices=1,
-        max_epochs=epochs,
-        callbacks=[progress],
-        plugins=[LightningEnvironment()],
-        logger=False,
-        enable_checkpointing=False,
-        enable_progress_bar=False,
-        enable_model_summary=False,
-        num_sanity_val_steps=0,
-    )
-    interrupt_handler = signal.getsignal(signal.SIGINT)
-    try:
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", module=r"lightning\.")
-            trainer.fit(dynamics, train_dataloaders=batches, val_dataloaders=validation)
-    except SystemExit:  # what Lightning makes of Ctrl-C and SIGTERM
-        signal.signal(signal.SIGINT, interrupt_handler)
-        raise KeyboardInterrupt from None
 
 
 def _why_dead(dynamics: Dynamics, progress: Progress, data: TrainingData) -> str | None:
@@ -119,14 +86,3 @@ def _why_dead(dynamics: Dynamics, progress: Progress, data: TrainingData) -> str
 def _identity(config: ModelConfig, recipe: Recipe, data: TrainingData, seed: int) -> str:
     settings = [config.model_dump(mode="json"), recipe.model_dump(mode="json"), data.robot.model_dump(mode="json")]
     return hashlib.sha256(json.dumps([*settings, data.digest(), seed]).encode()).hexdigest()
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch compute on one thread: as quick on nets this small, and the same numbers every time."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -9,7 +9,7 @@ from swarmtwin.dynamics.store import DESCRIPTION, read_description
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import StrictModel
-from swarmtwin.transitions import Preparation
+from swarmtwin.transitions import GeneratorOrigin, Origin, Preparation
 
 
 class SeedOutcome(StrictModel):
@@ -44,6 +44,8 @@ class Provenance(StrictModel):
         recipe: how it was trained, all values known.
         seed: the seed chosen, best on the validation runs.
         seeds: what came of each.
+        origin: whether it was trained on real transitions, on synthetic ones, or on some of each.
+        generator: where the synthetic ones come from.
     """
 
     recording: str
@@ -55,6 +57,8 @@ class Provenance(StrictModel):
     recipe: dict[str, Any]
     seed: int
     seeds: tuple[SeedOutcome, ...]
+    origin: Origin = "real"
+    generator: GeneratorOrigin | None = None
 
     @classmethod
     def read(cls, folder: Path) -> Self:
@@ -78,6 +82,8 @@ class Provenance(StrictModel):
             recipe=recipe,
             seed=seed,
             seeds=seeds,
+            origin=preparation.origin,
+            generator=preparation.generator,
         )
 
     @model_validator(mode="after")
@@ -92,8 +98,12 @@ class Provenance(StrictModel):
         return next(outcome for outcome in self.seeds if outcome.seed == self.seed)
 
     def tags(self, model: str) -> dict[str, str]:
-        """Return what people should read beside a registered version: the kind of model and its validation errors."""
-        return {"model": model, **{name: f"{error:.4g}" for name, error in self.chosen.errors.items()}}
+        """Return what people should read beside a registered version: model, origin of its data, validation errors."""
+        errors = {name: f"{error:.4g}" for name, error in self.chosen.errors.items()}
+        generator = (
+            {"generator": self.generator.name, "generator.digest": self.generator.digest} if self.generator else {}
+        )
+        return {"model": model, **errors, "origin": self.origin, **generator}
 
     def unseen_part(self, recording: Recording) -> Recording:
         """Return what the model has not seen of a recording: not the tracks it was trained on or chosen by.

@@ -17,12 +17,13 @@ import torch
 
 from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.batches import ShuffledBatches
-from swarmtwin.dynamics.fitting import SeedResult, fit_seed, one_thread
+from swarmtwin.dynamics.fitting import SeedResult, fit_seed
 from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.progress import Epoch, EpochReport
 from swarmtwin.dynamics.recipe import Recipe
 from swarmtwin.dynamics.training_data import TrainingData, training_data
 from swarmtwin.errors import UserError
+from swarmtwin.trainer import one_thread
 from swarmtwin.transitions import Transitions
 
 # What the first process of a program takes to import everything; measured on two cores.

@@ -35,10 +35,11 @@ def training_data(transitions: Transitions, parts: Sequence[SituationPart]) -> T
     """Turn the training and validation splits into tensors; the previous command alone may be NaN.
 
     Raises:
-        UserError: a split is empty, or a value is not finite.
+        UserError: a split is empty, a value is not finite, or a part of the situation is not there at all.
     """
     situation = Situation.from_transitions(transitions, parts)
     displacement = torch.as_tensor(transitions.displacement, dtype=torch.float32)
+    _check_present(situation)
     _check_finite(situation, displacement)
     return TrainingData(
         transitions.robot,
@@ -52,6 +53,15 @@ def _split(transitions: Transitions, split: Split, situation: Situation, displac
     if len(rows) < 2:
         raise UserError(f"the {split} split has {len(rows)} transitions: record more runs, or split them otherwise")
     return situation[rows], displacement[rows]
+
+
+def _check_present(situation: Situation) -> None:
+    for name, part in vars(situation).items():
+        if part is not None and len(part) and part.isnan().all():
+            raise UserError(
+                f"the model looks at {name}, which these transitions do not hold; synthetic ones hold what their "
+                "generator learned: take it out of model.situation, or train on real transitions"
+            )
 
 
 def _check_finite(situation: Situation, displacement: torch.Tensor) -> None:

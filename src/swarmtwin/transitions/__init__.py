@@ -1,8 +1,17 @@
 """Recordings become transitions: situation, command and the displacement that followed over one control period."""
 
 from swarmtwin.transitions.extraction import Counts, from_recording
-from swarmtwin.transitions.preparation import Preparation, load_preparation, load_transitions, save_transitions
+from swarmtwin.transitions.mixing import mix
+from swarmtwin.transitions.preparation import (
+    GeneratorOrigin,
+    Origin,
+    Preparation,
+    load_preparation,
+    load_transitions,
+    save_transitions,
+)
 from swarmtwin.transitions.scaling import ColumnScaling, Scaling
+from swarmtwin.transitions.selection import first_runs
 from swarmtwin.transitions.splitting import Fractions, SplitOptions, split_by_run
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
@@ -11,13 +20,17 @@ __all__ = [
     "ColumnScaling",
     "Counts",
     "Fractions",
+    "GeneratorOrigin",
+    "Origin",
     "Preparation",
     "Scaling",
     "SplitOptions",
     "Transitions",
+    "first_runs",
     "from_recording",
     "load_preparation",
     "load_transitions",
+    "mix",
     "save_transitions",
     "split_by_run",
 ]

@@ -3,11 +3,12 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
+from pydantic import model_validator
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
@@ -24,6 +25,7 @@ PREPARATION_FILE = "preparation.json"
 SCALING_FILE = "scaling.json"
 
 Model = TypeVar("Model", bound=StrictModel)
+Origin = Literal["real", "synthetic", "mixed"]
 
 
 class CountsByReason(StrictModel):
@@ -36,8 +38,27 @@ class CountsByReason(StrictModel):
     dropped: dict[str, int]
 
 
+class GeneratorOrigin(StrictModel):
+    """Which generator synthetic transitions were sampled from, and how.
+
+    Attributes:
+        name: the kind of generator.
+        digest: identifies its weights and description.
+        seed: of the sampling.
+        real_transitions: how many real ones it was trained on and chosen by.
+    """
+
+    name: str
+    digest: str
+    seed: int
+    real_transitions: int
+
+
 class Preparation(StrictModel):
     """The content of `preparation.json`: where transitions come from and what became of the recording's rows.
+
+    Of synthetic transitions, `recording`, `digest`, `source`, `vehicles` and `learned` are those of the real ones that
+    their generator learned from: what it has seen, a model trained on its samples has seen as well.
 
     Attributes:
         robot: name of the robot.
@@ -51,6 +72,8 @@ class Preparation(StrictModel):
         runs: names of the runs in each split; a run without a transition is in none.
         transitions: number of transitions in each split.
         learned: digests of the tracks that a model trained on these transitions has seen: train and validation.
+        origin: whether the transitions were measured, sampled from a generator, or are some of each.
+        generator: where synthetic ones come from; null for real ones.
     """
 
     robot: str
@@ -64,15 +87,21 @@ class Preparation(StrictModel):
     runs: dict[str, tuple[str, ...]]
     transitions: dict[str, int]
     learned: tuple[str, ...]
+    origin: Origin = "real"
+    generator: GeneratorOrigin | None = None
+
+    @model_validator(mode="after")
+    def _synthetic_ones_name_their_generator(self) -> Self:
+        if (self.origin == "real") != (self.generator is None):
+            raise ValueError(f"origin {self.origin!r} and generator do not fit: only real transitions have none")
+        return self
 
 
 def describe(
     recording: Recording, name: str, transitions: Transitions, counts: Counts, fractions: Fractions, seed: int
 ) -> Preparation:
     """Describe how `transitions` came about from the `recording` called `name`."""
-    runs = {
-        split: tuple(transitions.runs[index] for index in np.unique(transitions.part(split).run)) for split in SPLITS
-    }
+    runs = runs_by_split(transitions)
     unseen = set(runs["test"])
     return Preparation(
         robot=recording.robot.name,
@@ -84,9 +113,21 @@ def describe(
         seed=seed,
         counts=CountsByReason.model_validate(dataclasses.asdict(counts)),
         runs=runs,
-        transitions={split: len(transitions.part(split)) for split in SPLITS},
+        transitions=counts_by_split(transitions),
         learned=tuple(sorted(track.digest() for track in recording.tracks if track.run not in unseen)),
     )
+
+
+def runs_by_split(transitions: Transitions) -> dict[str, tuple[str, ...]]:
+    """Return the names of the runs in each split; a run without a transition is in none."""
+    return {
+        split: tuple(transitions.runs[index] for index in np.unique(transitions.part(split).run)) for split in SPLITS
+    }
+
+
+def counts_by_split(transitions: Transitions) -> dict[str, int]:
+    """Return the number of transitions in each split."""
+    return {split: len(transitions.part(split)) for split in SPLITS}
 
 
 def save_preparation(folder: Path, transitions: Transitions, preparation: Preparation) -> None:

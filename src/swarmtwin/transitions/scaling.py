@@ -19,7 +19,7 @@ class ColumnScaling(StrictModel):
 
 
 class Scaling(StrictModel):
-    """The scaling of each column, by name.
+    """The scaling of each column, by name; synthetic transitions lack some columns.
 
     Attributes:
         situation: what a model may be given: command, pose, elapsed time and duration.
@@ -53,4 +53,5 @@ def _columns(names: tuple[str, ...], values: np.ndarray) -> dict[str, ColumnScal
             low=float(column.min()), high=float(column.max()), mean=float(column.mean()), sd=float(column.std())
         )
         for name, column in zip(names, values.T, strict=True)
+        if not np.isnan(column).all()
     }

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
-from pettingzoo import ParallelEnv  # type: ignore[import-untyped]
+from pettingzoo import ParallelEnv
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.world.motion import Motion

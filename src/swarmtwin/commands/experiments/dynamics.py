@@ -79,12 +79,21 @@ def run(options: Options) -> None:
 
 
 def best_entry(entries: Sequence[Entry]) -> Entry:
-    """Return the model with the smallest errors on the validation runs, position and orientation weighed alike."""
+    """Return the model with the smallest errors on the validation runs, position and orientation weighed alike.
+
+    Only models trained on real transitions compete: errors on synthetic validation rows are not comparable with theirs.
+
+    Raises:
+        UserError: there is none.
+    """
+    competing = [entry for entry in entries if entry.provenance.origin == "real"]
+    if not competing:
+        raise UserError("no model was trained on real transitions alone, so none can be chosen: train one of them so")
     lowest = {
-        name: min(entry.provenance.chosen.errors[name] for entry in entries)
+        name: min(entry.provenance.chosen.errors[name] for entry in competing)
         for name in ("position_mm", "orientation_deg")
     }
-    return min(entries, key=lambda entry: sum(entry.provenance.chosen.errors[name] / lowest[name] for name in lowest))
+    return min(competing, key=lambda entry: sum(entry.provenance.chosen.errors[name] / lowest[name] for name in lowest))
 
 
 def _entries(options: Options) -> list[Entry]:
@@ -100,10 +109,16 @@ def _entries(options: Options) -> list[Entry]:
     entries = []
     for folder in folders:
         dynamics, provenance = load_simulation(folder, options.robot)
-        measurements = {name: measure(dynamics, provenance, each) for name, each in measured.items()}
+        measurements = {place: measure(dynamics, provenance, each) for place, each in measured.items()}
         parameters = sum(weights.numel() for weights in dynamics.parameters())
-        entries.append(Entry(folder.name, folder, parameters, provenance, measurements))
+        name = _name(folder, provenance)
+        entries.append(Entry(name, folder, parameters, provenance, measurements))
     return sorted(entries, key=_train_vehicle_position_mm, reverse=True)
+
+
+def _name(folder: Path, provenance: Provenance) -> str:
+    """Return what a model is called: its folder's name, with the paper's -S where it knows synthetic data alone."""
+    return f"{folder.name.removesuffix('_synthetic')}-S" if provenance.origin == "synthetic" else folder.name
 
 
 def _train_vehicle_position_mm(entry: Entry) -> float:

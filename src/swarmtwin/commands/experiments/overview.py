@@ -10,7 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin import registry
+from swarmtwin.commands.experiments.case_table import CaseRow, case_rows, case_table
 from swarmtwin.commands.experiments.model_table import ModelRow, model_rows, model_table
+from swarmtwin.commands.experiments.policy_table import PolicyRow, policy_rows, policy_table
 from swarmtwin.dynamics.store import read_description
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
@@ -29,27 +31,68 @@ class Options(StrictModel):
 
 
 class Chapter(NamedTuple):
-    """What the pipeline made for one robot: its transitions, the models compared, the best of them, the champion."""
+    """What the pipeline made for one robot, as far as it has run.
+
+    Attributes:
+        robot: the robot.
+        preparation: how its transitions came about.
+        models: table.csv of the dynamics models compared.
+        best: the best of them.
+        cases: table.csv of models trained on real and on synthetic transitions, None where they are not there yet.
+        policies: table.csv of the policies rolled out, likewise.
+        champions: the promoted version of each registered model.
+        pictures: by section of the page, with their captions.
+        films: with their captions.
+    """
 
     robot: Robot
     preparation: Preparation
-    table: pd.DataFrame
+    models: pd.DataFrame
     best: str
-    champion: registry.Version | None
-    pictures: dict[str, Path]
+    cases: pd.DataFrame | None
+    policies: pd.DataFrame | None
+    champions: dict[str, registry.Version | None]
+    pictures: dict[str, dict[str, Path]]
+    films: dict[str, Path]
 
     @property
-    def rows(self) -> list[ModelRow]:
+    def model_rows(self) -> list[ModelRow]:
         """The models as a person reads them, the floor first."""
-        return model_rows(self.table)
+        return model_rows(self.models)
+
+    @property
+    def case_rows(self) -> list[CaseRow]:
+        """Real and synthetic as a person reads them, the floor first."""
+        return [] if self.cases is None else case_rows(self.cases)
+
+    @property
+    def policy_rows(self) -> list[PolicyRow]:
+        """The policies as a person reads them."""
+        return [] if self.policies is None else policy_rows(self.policies)
 
 
 PICTURES = {
-    "coverage": "What was recorded: the first runs, the commands, and the displacements that followed",
-    "errors_train_vehicle": "One-step errors on the vehicle that was learned from, on runs the models have not seen",
-    "errors_other_vehicle": "One-step errors on another vehicle of the same robot",
-    "runs_crnet": "CR-Net: whole runs predicted from the first pose and the commands alone",
+    "models": {
+        "transitions/{robot}/coverage.png": "What was recorded: the first runs, the commands, and the displacements "
+        "that followed",
+        "comparison/{robot}/errors_train_vehicle.png": "One-step errors on the vehicle that was learned from, on runs "
+        "the models have not seen",
+        "comparison/{robot}/errors_other_vehicle.png": "One-step errors on another vehicle of the same robot",
+        "comparison/{robot}/runs_crnet.png": "CR-Net: whole runs predicted from the first pose and the commands alone",
+    },
+    "synthetic": {
+        "real_and_synthetic/{robot}/errors.png": "One-step errors of models trained on real and on synthetic "
+        "transitions, with all and with less of the real ones",
+        "synthetic/{robot}/diffusion/quality.png": "Transitions by the conditional diffusion model beside real ones",
+        "synthetic/{robot}/gan/quality.png": "Transitions by the GAN as published beside real ones",
+    },
+    "policies": {
+        "transfer/{robot}/success.png": "How often the policies succeed, in simulation and on stand-ins",
+        "transfer/{robot}/rewards.png": "Each roll-out's reward in simulation and on stand-ins, from the same start",
+        "transfer/{robot}/paths_{policy}.png": "{policy}: the paths of a typical roll-out",
+    },
 }
+FILM = "transfer/{robot}/{policy}.mp4"
 
 
 def run(options: Options) -> None:
@@ -64,9 +107,18 @@ def run(options: Options) -> None:
     console = Console()
     console.print(_recordings_table(chapters))
     for chapter in chapters:
-        console.print(model_table(chapter.robot.title, chapter.table, chapter.best))
+        console.print(model_table(chapter.robot.title, chapter.models, chapter.best))
+    for chapter in chapters:
+        if chapter.cases is not None:
+            console.print(case_table(chapter.robot.title, chapter.cases))
+    for chapter in chapters:
+        if chapter.policies is not None:
+            console.print(policy_table(chapter.robot.title, chapter.policies))
     console.print(_registry_table(chapters))
-    console.print(f"the same with pictures: {options.output / 'overview.html'}", highlight=False, soft_wrap=True)
+    films = [film for chapter in chapters for film in chapter.films.values()]
+    console.print(f"the same with pictures and films: {options.output / 'overview.html'}", highlight=False)
+    if films:
+        console.print(f"the films: {', '.join(map(str, films))}", highlight=False, soft_wrap=True)
     console.print("every run, to compare: make ui", highlight=False, soft_wrap=True)
 
 
@@ -74,20 +126,37 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     comparison = artifacts / "comparison" / robot_name
     if not (comparison / "table.csv").exists():
         raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
-    folders = (artifacts / "transitions" / robot_name, comparison)
     best = read_description(comparison / "best")
+    policies = _table(artifacts / "transfer" / robot_name)
+    names = [] if policies is None else list(policies.policy)
+    films = {name: artifacts / FILM.format(robot=robot_name, policy=name) for name in names}
     return Chapter(
         robot=best.robot,
-        preparation=load_preparation(folders[0]),
-        table=pd.read_csv(comparison / "table.csv"),
+        preparation=load_preparation(artifacts / "transitions" / robot_name),
+        models=pd.read_csv(comparison / "table.csv"),
         best=best.model["name"],
-        champion=registry.champion(f"{robot_name}-dynamics"),
-        pictures={name: folder / f"{name}.png" for name in PICTURES for folder in folders if _holds(folder, name)},
+        cases=_table(artifacts / "real_and_synthetic" / robot_name),
+        policies=policies,
+        champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
+        pictures={section: _pictures(artifacts, robot_name, section, names) for section in PICTURES},
+        films={name: film for name, film in films.items() if film.exists()},
     )
 
 
-def _holds(folder: Path, picture: str) -> bool:
-    return (folder / f"{picture}.png").exists()
+def _table(folder: Path) -> pd.DataFrame | None:
+    file = folder / "table.csv"
+    return pd.read_csv(file) if file.exists() else None
+
+
+def _pictures(artifacts: Path, robot: str, section: str, policies: list[str]) -> dict[str, Path]:
+    """Return the pictures of a section that are there, by their captions."""
+    found = {}
+    for path, caption in PICTURES[section].items():
+        for policy in policies if "{policy}" in path else [""]:
+            file = artifacts / path.format(robot=robot, policy=policy)
+            if file.exists():
+                found[caption.format(policy=policy)] = file
+    return found
 
 
 def _recordings_table(chapters: list[Chapter]) -> Table:
@@ -104,19 +173,19 @@ def _recordings_table(chapters: list[Chapter]) -> Table:
 def _registry_table(chapters: list[Chapter]) -> Table:
     table = Table("registered model", "versions", "champion", "why", title="Registry")
     for chapter in chapters:
-        name = f"{chapter.robot.name}-dynamics"
-        champion = chapter.champion
-        reason = champion.tags.get("promoted_because", "") if champion else ""
-        table.add_row(name, str(len(registry.versions(name))), str(champion.number) if champion else "none", reason)
+        for name, champion in chapter.champions.items():
+            reason = champion.tags.get("promoted_because", "") if champion else ""
+            table.add_row(name, str(len(registry.versions(name))), str(champion.number) if champion else "none", reason)
     return table
 
 
 def _page(chapters: list[Chapter]) -> str:
-    template = Environment(loader=PackageLoader("swarmtwin.commands.experiments", "."), autoescape=True)
-    pictures = {
-        chapter.robot.name: {
-            PICTURES[name]: base64.b64encode(path.read_bytes()).decode() for name, path in chapter.pictures.items()
-        }
-        for chapter in chapters
-    }
-    return template.get_template("overview.html.jinja").render(chapters=chapters, pictures=pictures)
+    environment = Environment(loader=PackageLoader("swarmtwin.commands.experiments", "."), autoescape=True)
+    environment.filters["embedded"] = _embedded
+    return environment.get_template("overview.html.jinja").render(chapters=chapters)
+
+
+def _embedded(file: Path) -> str:
+    """Return a picture's or film's content for a page that loads nothing."""
+    kind = {".png": "image/png", ".mp4": "video/mp4"}[file.suffix]
+    return f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"

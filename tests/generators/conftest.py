@@ -1,0 +1,23 @@
+import pytest
+from plant import config, planted, preparation
+
+from swarmtwin.generators.fitting import fit
+from swarmtwin.generators.lineage import Lineage
+
+
+@pytest.fixture(scope="session")
+def real(robots):
+    """Real transitions of an MGR of which everything is known."""
+    return planted(robots["mgr"])
+
+
+@pytest.fixture(scope="session")
+def trained(real):
+    """Both generators, trained on them, by name."""
+    return {name: fit(real, config(name), seed=1)[0] for name in ("diffusion", "gan")}
+
+
+@pytest.fixture(scope="session")
+def lineage(real):
+    """Where they come from."""
+    return Lineage.of(preparation(real), real, seed=1)
