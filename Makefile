@@ -25,12 +25,20 @@ setup: .venv/installed
 	$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-run: setup  # a refused promotion is an answer, not a failure
+run: setup  # the robots' pipelines side by side; a refused promotion is an answer, not a failure
 	$(BIN)/dvc pull --quiet data
+	-$(MAKE) --no-print-directory --jobs=2 pipeline@mgr pipeline@mur
 	$(BIN)/dvc repro
 	-$(BIN)/swarmtwin promote robot=mgr candidate=artifacts/comparison/mgr/best
 	-$(BIN)/swarmtwin promote robot=mur candidate=artifacts/comparison/mur/best
+	-$(BIN)/swarmtwin promote robot=mgr what=policy candidate=artifacts/policies/mgr/collective
+	-$(BIN)/swarmtwin promote robot=mur what=policy candidate=artifacts/policies/mur/pair
 	$(BIN)/swarmtwin experiment name=overview
+
+pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time
+pipeline@%:
+	@sleep $(or $(WAIT),0)
+	@bash -o pipefail -c '$(BIN)/dvc repro comparison@$* real_and_synthetic@$* transfer@$* 2>&1 | sed -u "s/^/$*: /"'
 
 test: setup
 	$(BIN)/dvc pull --quiet data

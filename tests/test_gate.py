@@ -1,6 +1,8 @@
 import numpy as np
+import pytest
 
-from swarmtwin.gate import Errors, judge
+from swarmtwin.errors import UserError
+from swarmtwin.gate import Demands, Errors, Trials, judge, judge_policy
 
 RUN = np.repeat(np.arange(40), 50)
 
@@ -42,3 +44,51 @@ def test_the_verdict_is_the_same_every_time():
     rng = np.random.default_rng(2)
     first, second = errors(rng, 0.99), errors(rng, 1.0)
     assert judge(first, second, RUN) == judge(first, second, RUN)
+
+
+DEMANDS = Demands(least_success=0.85, most_collisions=0.05, margin=0.05)
+
+
+def trials(succeeded, collided=0, count=200):
+    """Roll-outs of which the first ones succeeded, and the last ones collided."""
+    order = np.arange(count)
+    return Trials(order < succeeded, order >= count - collided)
+
+
+def test_a_policy_must_succeed_often_enough_and_collide_seldom_enough():
+    assert judge_policy(trials(170), None, DEMANDS).passed
+    assert judge_policy(trials(169), None, DEMANDS).refusals == ("success is below 85%",)
+    assert judge_policy(trials(190, 10), None, DEMANDS).passed
+    assert judge_policy(trials(189, 11), None, DEMANDS).refusals == ("collisions are above 5%",)
+    assert str(judge_policy(trials(100, 20), None, DEMANDS)) == (
+        "success 50.0%, collisions 10.0% of 200 roll-outs on stand-ins: success is below 85%; collisions are above 5%"
+    )
+
+
+def test_a_policy_must_not_be_worse_than_the_champion_from_the_same_starts():
+    assert judge_policy(trials(196), trials(196), DEMANDS).passed
+    assert judge_policy(trials(198), trials(180), DEMANDS).passed
+    worse = judge_policy(trials(180), trials(196), DEMANDS)
+    assert worse.refusals == ("it may be worse than the champion by more than 5%",)
+    assert "success -8.0% against the champion (95 % interval" in worse.found
+
+
+def test_other_failures_than_the_champions_widen_the_interval():
+    champion = trials(180)
+    same, others = trials(180), Trials(np.flip(champion.succeeded), champion.collided)
+    assert judge_policy(same, champion, DEMANDS).passed
+    assert not judge_policy(others, champion, DEMANDS).passed
+
+
+def test_a_policy_that_is_truly_worse_by_more_than_the_margin_seldom_passes():
+    passed = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        champion, candidate = (Trials(rng.random(300) < rate, np.zeros(300, bool)) for rate in (0.96, 0.90))
+        passed += judge_policy(candidate, champion, DEMANDS, seed).passed
+    assert passed / 200 <= 0.06
+
+
+def test_too_few_rollouts_judge_no_policy():
+    with pytest.raises(UserError, match="99 roll-outs are too few to judge a policy by: ask for 100 or more"):
+        judge_policy(trials(99, count=99), None, DEMANDS)

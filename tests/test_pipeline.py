@@ -25,7 +25,7 @@ PIPELINE = yaml.safe_load((REPOSITORY / "dvc.yaml").read_text())
 
 
 class Stage(NamedTuple):
-    """A stage for one robot, and one model where there are several."""
+    """A stage with its places filled in: for one robot, one model, one policy."""
 
     name: str
     arguments: list[str]
@@ -38,18 +38,28 @@ class Stage(NamedTuple):
         return dict(argument.split("=", 1) for argument in self.arguments[1:])
 
 
-def stages():
+def filled_in():
+    """Name and content of every stage."""
     for name, template in PIPELINE["stages"].items():
+        if "foreach" in template:
+            for key, item in template["foreach"].items():
+                text = yaml.safe_dump(template["do"]).replace("${key}", key).replace("${item}", item)
+                yield f"{name}@{key}", yaml.safe_load(text)
+            continue
         for values in itertools.product(*template["matrix"].values()):
             text = yaml.safe_dump({key: value for key, value in template.items() if key != "matrix"})
             for key, value in zip(template["matrix"], values, strict=True):
                 text = text.replace(f"${{item.{key}}}", value)
-            stage = yaml.safe_load(text)
-            program, *words = shlex.split(stage["cmd"])
-            assert program == "${swarmtwin}"
-            params = {file: keys for entry in stage["params"] for file, keys in entry.items()}
-            outs = [path for out in stage["outs"] for path in out]
-            yield Stage(f"{name}@{'-'.join(values)}", words, stage["deps"], params, outs)
+            yield f"{name}@{'-'.join(values)}", yaml.safe_load(text)
+
+
+def stages():
+    for name, stage in filled_in():
+        program, *words = shlex.split(stage["cmd"])
+        assert program == "${swarmtwin}"
+        params = {file: keys for entry in stage["params"] for file, keys in entry.items()}
+        outs = [path for out in stage["outs"] for path in out]
+        yield Stage(name, words, stage["deps"], params, outs)
 
 
 STAGES = {stage.name: stage for stage in stages()}
@@ -67,8 +77,19 @@ def composed(stage):
 def test_every_model_there_is_is_trained_and_every_robot_that_was_recorded():
     dynamics = PIPELINE["stages"]["dynamics"]["matrix"]
     assert sorted(dynamics["model"]) == sorted(path.stem for path in (REPOSITORY / "conf" / "model").glob("*.yaml"))
-    robots = {tuple(stage["matrix"]["robot"]) for stage in PIPELINE["stages"].values()}
+    robots = {tuple(stage["matrix"]["robot"]) for stage in PIPELINE["stages"].values() if "matrix" in stage}
     assert robots == {tuple(dynamics["robot"])}
+
+
+def test_every_generator_there_is_is_trained_and_every_task_learned():
+    generators = PIPELINE["stages"]["synthetic"]["matrix"]["generator"]
+    assert sorted(generators) == sorted(path.stem for path in (REPOSITORY / "conf" / "generator").glob("*.yaml"))
+    tasks = PIPELINE["stages"]["policies"]["foreach"]
+    assert sorted(tasks) == sorted(path.stem for path in (REPOSITORY / "conf" / "task").glob("*.yaml"))
+
+
+def test_both_robots_have_their_recordings():
+    dynamics = PIPELINE["stages"]["dynamics"]["matrix"]
     if (REPOSITORY / "data").is_dir():
         assert sorted(dynamics["robot"]) == sorted(
             path.name for path in (REPOSITORY / "data").iterdir() if path.is_dir()
@@ -81,7 +102,7 @@ def test_the_parameters_a_stage_hangs_on_exist(stage):
         content = yaml.safe_load((REPOSITORY / file).read_text())
         assert content
         for key in keys or []:
-            assert OmegaConf.select(OmegaConf.create(content), key) is not None
+            assert key in content
 
 
 @every_stage
@@ -96,22 +117,28 @@ def test_a_stage_calls_its_command_with_options_that_exist(stage):
 def test_a_stage_hangs_on_the_choices_of_its_command(stage):
     """A robot's file shapes the transitions, which hold it; what follows hangs on it through them."""
     _, choices = composed(stage)
-    shaping = {"prepare": ("robot", "split"), "train": ("model", "recipe"), "experiment": ()}[stage.arguments[0]]
-    for group in shaping:
-        assert f"conf/{group}/{choices[group]}.yaml" in stage.params
+    shaping = {
+        "prepare": ("robot", "split"),
+        "generate": ("generator",),
+        "train": ("model", "recipe"),
+        "learn": ("task", "policy"),
+        "experiment": tuple(group for group in choices if group in ("recipe", "model@crnet", "generator@generator")),
+    }
+    for group in shaping[stage.arguments[0]]:
+        assert f"conf/{group.split('@')[0]}/{choices[group]}.yaml" in stage.params
 
 
 @every_stage
 def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
     config, _ = composed(stage)
-    given = {
-        "prepare": ["recording"],
-        "train": [],
-        "experiment": ["models", "train_vehicle", "other_vehicle", "open_loop"],
-    }
-    read = [config[name] for name in given[stage.arguments[0]]]
-    if stage.arguments[0] == "train":
+    names = (
+        *("recording", "transitions", "generators", "models", "simulation", "policies"),
+        *("train_vehicle", "other_vehicle", "open_loop"),
+    )
+    read = [config[name] for name in names if config.get(name)]
+    if stage.arguments[0] in ("train", "generate") and not config.transitions:
         read = [f"artifacts/transitions/{config.robot.name}"]
+    assert read
     for folder in read:
         assert any(Path(folder).is_relative_to(dependency) for dependency in stage.deps), folder
 

@@ -1,4 +1,4 @@
-"""The gate before promotion: whether one model is measurably better than another on held-out transitions."""
+"""The gates before promotion: dynamics by their errors on held-out transitions, policies by roll-outs on vehicles."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ from swarmtwin.errors import UserError
 
 RESAMPLES = 2000
 FEWEST_RUNS = 6
+FEWEST_ROLLOUTS = 100
 
 
 @dataclass(frozen=True)
@@ -62,3 +63,76 @@ def judge(candidate: Errors, incumbent: Errors, run: np.ndarray, seed: int = 0) 
     drawn = np.random.default_rng(seed).integers(0, len(count), (RESAMPLES, len(count)))
     low, high = np.quantile(total[drawn].sum(1) / count[drawn].sum(1), [0.025, 0.975])
     return Verdict(passed=bool(high < 0), change=float(change.mean()), low=float(low), high=float(high))
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What came of one policy's roll-outs from W starts, each (W,) bool."""
+
+    succeeded: np.ndarray
+    collided: np.ndarray
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What is asked of a policy.
+
+    Attributes:
+        least_success: the least share of the roll-outs that succeed.
+        most_collisions: the largest share in which vehicles collide.
+        margin: how much less success than the incumbent's can be put up with, as a share of the roll-outs.
+    """
+
+    least_success: float
+    most_collisions: float
+    margin: float
+
+
+@dataclass(frozen=True)
+class PolicyVerdict:
+    """What the gate says of a policy: why it is refused, if it is, and what was found.
+
+    Attributes:
+        refusals: the demands that it does not meet.
+        found: success and collisions, and the change of success against the incumbent.
+    """
+
+    refusals: tuple[str, ...]
+    found: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether every demand is met."""
+        return not self.refusals
+
+    def __str__(self) -> str:
+        return f"{self.found}: {'; '.join(self.refusals) or 'every demand is met'}"
+
+
+def judge_policy(candidate: Trials, incumbent: Trials | None, demands: Demands, seed: int = 0) -> PolicyVerdict:
+    """Judge a policy by its roll-outs, and against the incumbent's from the same starts, in the same order.
+
+    It passes if it succeeds often enough, collides seldom enough, and is measurably not worse than the incumbent: the
+    whole 95 % interval of the change of success, by bootstrap over pairs of roll-outs, lies above the margin.
+
+    Raises:
+        UserError: there are fewer than 100 roll-outs.
+    """
+    count = len(candidate.succeeded)
+    if count < FEWEST_ROLLOUTS:
+        raise UserError(f"{count} roll-outs are too few to judge a policy by: ask for {FEWEST_ROLLOUTS} or more")
+    success, collisions = float(candidate.succeeded.mean()), float(candidate.collided.mean())
+    found = f"success {success:.1%}, collisions {collisions:.1%} of {count} roll-outs on stand-ins"
+    refusals = []
+    if success < demands.least_success:
+        refusals.append(f"success is below {demands.least_success:.0%}")
+    if collisions > demands.most_collisions:
+        refusals.append(f"collisions are above {demands.most_collisions:.0%}")
+    if incumbent is not None:
+        change = candidate.succeeded.astype(float) - incumbent.succeeded
+        drawn = np.random.default_rng(seed).integers(0, count, (RESAMPLES, count))
+        low, high = np.quantile(change[drawn].mean(axis=1), [0.025, 0.975])
+        found += f", success {change.mean():+.1%} against the champion (95 % interval {low:+.1%} to {high:+.1%})"
+        if low < -demands.margin:
+            refusals.append(f"it may be worse than the champion by more than {demands.margin:.0%}")
+    return PolicyVerdict(tuple(refusals), found)

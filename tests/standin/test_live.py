@@ -85,3 +85,17 @@ def test_a_vehicle_that_is_placed_anew_forgets_its_past(robots):
 def test_a_robot_without_a_stand_in_is_refused(robots):
     with pytest.raises(UserError, match="robot 'create' has no stand-in"):
         LiveVehicles(robots["create"], ("1",), 1, 0)
+
+
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_one_group_goes_through_the_very_numbers_of_a_recorded_run(robots, robot):
+    effects = parse_effects([{"name": "command_loss", "probability": 0.3}], robots[robot], 2)
+    footage = film(Session(robots[robot], ("2", "5"), 1, STEPS, 7, effects))
+    live = LiveVehicles(robots[robot], ("2", "5"), 1, 7, effects)
+    poses = drive(live, np.moveaxis(footage.state[:3, :, 0], 0, -1), footage.command)
+    np.testing.assert_allclose(poses, footage.pose, rtol=0, atol=1e-9)
+
+
+def test_a_vehicle_that_is_named_twice_is_refused(robots):
+    with pytest.raises(UserError, match="vehicle '2' is named twice: give each id once"):
+        LiveVehicles(robots["mgr"], ("2", "3", "2"), 1, 0)

@@ -26,10 +26,11 @@ FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 def run_command(name: str, module_name: str, arguments: list[str]) -> int:
     """Run command `name` with Hydra `arguments`; return its exit status."""
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    sys.argv = [f"swarmtwin {name}", *arguments]
     signal.signal(signal.SIGTERM, _interrupt)
     _start_logging()
     config_name = name
+    arguments = _spell_out(name, arguments)
+    sys.argv = [f"swarmtwin {name}", *arguments]
     try:
         if name == "experiment":
             if "--help" in arguments and not any(argument.startswith("name=") for argument in arguments):
@@ -54,6 +55,19 @@ def run_command(name: str, module_name: str, arguments: list[str]) -> int:
     except KeyboardInterrupt:
         return _report(name, "interrupted; what had not finished was left out", INTERRUPTED)
     return 0
+
+
+MODEL_FOLDERS = {"rollout": "policy"}
+"""Options that name a model's folder, where other commands have a group of configurations of that name."""
+
+
+def _spell_out(name: str, arguments: list[str]) -> list[str]:
+    """Turn policy=FOLDER into policy.folder=FOLDER: of policy=... Hydra thinks that it chooses from conf/policy/."""
+    option = MODEL_FOLDERS.get(name)
+    return [
+        argument.replace("=", ".folder=", 1) if option and argument.startswith(f"{option}=") else argument
+        for argument in arguments
+    ]
 
 
 SYSTEM_FAULTS = {

@@ -1,0 +1,43 @@
+"""TD3, twin delayed DDPG: two critics, a smoothed target, the actor updated every other step."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+from stable_baselines3 import TD3
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.vec_env import VecEnv
+from torch import nn
+
+from swarmtwin.policies.algorithm import Count, OffPolicyConfig, gaussian
+
+
+class Config(OffPolicyConfig):
+    """`conf/policy/td3.yaml`.
+
+    Attributes:
+        exploration: standard deviation of the noise on actions of −1…1.
+        policy_delay: gradient steps of the critics for one of the actor.
+        target_noise: standard deviation of the noise that smooths the target.
+        target_noise_limit: where that noise is cut.
+    """
+
+    name: Literal["td3"]
+    exploration: Annotated[float, Field(ge=0)]
+    policy_delay: Count
+    target_noise: Annotated[float, Field(ge=0)]
+    target_noise_limit: Annotated[float, Field(ge=0)]
+
+    def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
+        """Return TD3 with Gaussian exploration."""
+        return TD3(
+            **self.common(env, seed),
+            action_noise=gaussian(env, self.exploration),
+            policy_delay=self.policy_delay,
+            target_policy_noise=self.target_noise,
+            target_noise_clip=self.target_noise_limit,
+        )
+
+    def actor(self, algorithm: Any) -> nn.Module:
+        """Return the actor."""
+        actor: nn.Module = algorithm.policy.actor
+        return actor

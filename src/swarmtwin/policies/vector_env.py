@@ -1,0 +1,98 @@
+"""The simulated world as stable-baselines3 wants it: every vehicle of every world is one sub-environment.
+
+So one policy is learned from the experience of all vehicles (parameter sharing, section 4.5).
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+
+from swarmtwin.world.world import World
+
+
+class DivergedError(Exception):
+    """The algorithm asked for an action that is not finite."""
+
+
+class SharedPolicyEnv(VecEnv):
+    """W · K sub-environments; actions are shares −1…1 of the command's limits.
+
+    Attributes:
+        world: where the vehicles are.
+        reward_scale: what rewards are divided by.
+    """
+
+    def __init__(self, world: World, reward_scale: float) -> None:
+        self.world = world
+        self.reward_scale = reward_scale
+        worlds, vehicles, columns = world.shape
+        seen = Box(-np.inf, np.inf, (world.task.observation_size,), np.float32)
+        super().__init__(worlds * vehicles, seen, Box(-1.0, 1.0, (columns,), np.float32))
+        self._low, self._high = world.robot.command_low, world.robot.command_high
+        self._action = np.zeros((self.num_envs, columns))
+
+    def reset(self) -> np.ndarray:
+        """Start all worlds, each as if another share of its time had passed, so that they do not all end at once."""
+        observation = self.world.reset()
+        self.world.step_count[:] = np.arange(self.world.worlds) * self.world.task.steps // self.world.worlds
+        return self._flat(observation)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the vehicles' actions (W · K, m).
+
+        Raises:
+            DivergedError: one is not finite.
+        """
+        if not np.isfinite(actions).all():
+            raise DivergedError
+        self._action = actions
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Let one control period pass; worlds that ended start anew, their last observation stands in the infos."""
+        share = 0.5 * (np.clip(self._action, -1.0, 1.0).astype(float) + 1.0)
+        command = self._low + (self._high - self._low) * share
+        step = self.world.step(command.reshape(self.world.shape))
+        last = self._flat(step.observation)
+        vehicles = self.world.task.vehicles
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for world in np.flatnonzero(step.ended):
+            for row in range(world * vehicles, (world + 1) * vehicles):
+                infos[row] = {
+                    "terminal_observation": last[row],
+                    "TimeLimit.truncated": bool(step.truncated[world]),
+                }
+        observation = self._flat(self.world.restart(step.ended)) if step.ended.any() else last
+        reward = (step.reward / self.reward_scale).reshape(-1).astype(np.float32)
+        return observation, reward, np.repeat(step.ended, vehicles), infos
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of this object, once for each sub-environment."""
+        return [getattr(self, attr_name, None) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Refuse: sub-environments have no attributes of their own."""
+        raise NotImplementedError
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Refuse: sub-environments have no methods of their own."""
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
+        """Return that no sub-environment is wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Leave the world as it is: its own seed decides."""
+        return [None] * self.num_envs
+
+    def _flat(self, observation: np.ndarray) -> np.ndarray:
+        return observation.reshape(self.num_envs, -1)

@@ -1,0 +1,154 @@
+"""`swarmtwin learn`: a policy is learned in a simulation, kept whole, tracked and registered."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import mlflow
+import pandas as pd
+import pytest
+import yaml
+
+from swarmtwin import registry
+from swarmtwin.policies.store import load_policy
+from swarmtwin.tracking import use_store
+
+SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
+TASK = ("task=obstacle", "task.steps=40", "task.reach_mm=300", "task.distance_mm=360", "task.radius_mm=[5,10]")
+SMALL = ("policy.layers=[16]", "policy.worlds=4", "policy.steps=150", "policy.random_steps=20", "policy.batch_size=64")
+QUICK = ("learn", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60")
+FILES = [
+    "history.csv",
+    "history.png",
+    "metrics.json",
+    "policy.onnx",
+    "policy.yaml",
+    "provenance.json",
+    "weights.safetensors",
+]
+
+
+def runs():
+    use_store()
+    return mlflow.search_runs(experiment_names=["policy"], output_format="list")
+
+
+def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, workshop):
+    model("mlp")
+    answer = swarmtwin(*QUICK, "seeds=2", "output=out")
+    assert answer.status == 0, answer.error
+    assert sorted(path.name for path in (workshop / "out").iterdir()) == FILES
+    policy = load_policy(workshop / "out")
+    assert policy.task.name == "obstacle"
+    assert policy.provenance.simulation.model_dump() == {
+        "source": "mlp",
+        "model": "mlp",
+        "digest": registry.folder_digest(workshop / "mlp"),
+        "recording": "reference",
+        "origin": "real",
+    }
+    history = pd.read_csv(workshop / "out" / "history.csv")
+    assert history.groupby("seed").step.agg(list).tolist() == [[50, 100, 150]] * 2
+    best = history.sort_values(["success", "reward"]).iloc[-1]
+    assert policy.provenance.seed == best.seed
+    metrics = json.loads((workshop / "out" / "metrics.json").read_text())
+    assert metrics["evaluation"]["success"] == pytest.approx(best.success, abs=1e-5)
+    version = registry.find_version("models:/mgr-policy@challenger")
+    assert version.tags["task"] == "obstacle"
+    assert float(version.tags["success"]) == pytest.approx(best.success, abs=1e-3)
+    assert "registered as mgr-policy version 1, its challenger" in answer.shown
+    (run,) = runs()
+    assert run.data.metrics["evaluation_success"] == pytest.approx(best.success, abs=1e-5)
+    assert run.data.params["policy.name"] == "ddpg"
+    assert load_policy(version.folder()).provenance == policy.provenance
+
+
+def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
+    model("mlp")
+    answer = swarmtwin(
+        *("learn", "-m", "policy=ddpg,td3", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60"),
+        *("seeds=1", "output=out_${policy.name}"),
+    )
+    assert answer.status == 0, answer.error
+    for name in ("ddpg", "td3"):
+        content = yaml.safe_load((workshop / f"out_{name}" / "policy.yaml").read_text())
+        assert content["provenance"]["algorithm"]["name"] == name
+    children = [run for run in runs() if run.data.tags.get("kind") != "sweep"]
+    assert len({run.data.tags["mlflow.parentRunId"] for run in children}) == 1
+
+
+def test_an_interrupted_command_goes_on_to_the_same_policy(swarmtwin, model, workshop):
+    model("mlp")
+    options = (*QUICK, "policy.steps=600", "seeds=2", "register=false")
+    process = subprocess.Popen([SWARMTWIN, *options, "output=out"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    checkpoint = workshop / ".out.partial" / "checkpoints" / "seed-1.ckpt"
+    for _ in range(2400):
+        if checkpoint.exists() or process.poll() is not None:
+            break
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert checkpoint.exists()
+    assert not (workshop / "out").exists()
+    assert swarmtwin(*options, "output=out").status == 0
+    assert swarmtwin(*options, "output=whole").status == 0
+    for name in ("weights.safetensors", "policy.onnx", "history.csv"):
+        assert (workshop / "out" / name).read_bytes() == (workshop / "whole" / name).read_bytes()
+    assert not (workshop / "out" / "checkpoints").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "message"),
+    [
+        (
+            ["simulation=null"],
+            1,
+            "no simulation in artifacts/dynamics/mgr/crnet_synthetic: run `dvc repro` first, or give simulation=...",
+        ),
+        (["simulation=mlp", "robot=mur", "task=pair"], 1, "mlp is a model of robot 'mgr': add robot=mgr"),
+        (["simulation=nowhere"], 1, "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERS"),
+        (["simulation=mlp", "policy=ddgp"], 2, "no such policy: 'ddgp': did you mean 'ddpg'? known: ddpg, ppo, sac"),
+        (["simulation=mlp", "task=obstacles"], 2, "no such task: 'obstacles': did you mean 'obstacle'?"),
+        (["simulation=mlp", "policy.gama=1"], 2, "unknown option 'policy.gama': did you mean 'policy.gamma'?"),
+        (["simulation=mlp", "policy.gamma=1"], 1, "policy: field 'gamma': Input should be less than 1, got 1"),
+        (
+            ["simulation=mlp", "task=collective", "task.vehicles=1"],
+            1,
+            "task: field 'vehicles': Input should be greater",
+        ),
+        (["simulation=mlp", "task=collective", "task.vehicles=100"], 1, "task 'collective': 100 vehicles"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, model, workshop, options, status, message):
+    model("mlp")
+    answer = swarmtwin("learn", *options, "output=out")
+    assert answer.status == status
+    assert answer.error.startswith(f"swarmtwin learn: {message}")
+    assert len(answer.error.strip().splitlines()) == 1
+    assert not (workshop / "out").exists()
+
+
+def test_a_simulation_with_weights_that_are_not_finite_is_refused(swarmtwin, model, workshop):
+    from safetensors.numpy import load_file, save_file
+
+    path = model("mlp") / "weights.safetensors"
+    weights = load_file(path)
+    weights["network.0.bias"] = weights["network.0.bias"] * float("nan")
+    save_file(weights, path)
+    answer = swarmtwin(*QUICK, "output=out")
+    assert answer.status == 1
+    assert "network.0.bias is not finite" in answer.error
+    assert not (workshop / "out").exists()
+
+
+def test_where_every_seed_fails_nothing_is_left(swarmtwin, model, workshop):
+    model("mlp")
+    answer = swarmtwin(*QUICK, "policy.learning_rate=1e30", "seeds=1", "output=out")
+    assert answer.status == 1
+    assert "every seed has failed (seed 1: its weights were no longer finite)" in answer.error
+    assert not (workshop / "out").exists()
+    assert [run.info.status for run in runs()] == ["FAILED"]

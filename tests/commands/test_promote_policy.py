@@ -1,0 +1,100 @@
+"""`swarmtwin promote what=policy`: a policy becomes champion by what it does on stand-ins, and the way back is open."""
+
+import pytest
+
+from lessons import save_seeker
+from swarmtwin import registry
+
+NAME = "mgr-policy"
+GATE = ("policy_gate.rollouts=100", "policy_gate.least_success=0.5", "policy_gate.most_collisions=0.3")
+
+
+@pytest.fixture
+def promote(swarmtwin):
+    def call(candidate, *options):
+        return swarmtwin("promote", "what=policy", f"candidate={candidate}", *GATE, *options)
+
+    return call
+
+
+def champion_number():
+    champion = registry.champion(NAME)
+    return champion and champion.number
+
+
+def test_a_policy_that_stands_still_is_refused_and_one_that_arrives_is_not(promote, workshop):
+    still = promote(save_seeker(workshop / "still", speed=0.0))
+    assert still.status == 1
+    assert still.error.startswith(f"swarmtwin promote: {NAME} version 1 is not promoted: success 0.0%, collisions 0.0%")
+    assert "success is below 50%" in still.error
+    assert champion_number() is None
+    answer = promote(save_seeker(workshop / "seeker"))
+    assert answer.status == 0, answer.error
+    assert "every demand is met" in " ".join(answer.shown.split())
+    assert champion_number() == 2
+
+
+def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_not(promote, workshop, swarmtwin):
+    assert promote(save_seeker(workshop / "seeker")).status == 0
+    worse = promote(save_seeker(workshop / "slow", speed=0.3), "policy_gate.least_success=0")
+    assert worse.status == 1
+    assert "it may be worse than the champion by more than 5%" in worse.error
+    assert worse.error.endswith(f"{NAME} version 1 stays champion\n")
+    assert promote(save_seeker(workshop / "equal", success=0.9), "policy_gate.margin=0").status == 0
+    assert champion_number() == 3
+    answer = swarmtwin("promote", "what=policy", "rollback=true")
+    assert (answer.status, answer.shown) == (0, f"{NAME}: version 1 is champion again, version 3 no longer\n")
+    assert champion_number() == 1
+
+
+def test_a_policy_that_collides_too_often_is_refused(promote, workshop):
+    seeker = save_seeker(workshop / "seeker")
+    answer = promote(seeker, "policy_gate.most_collisions=0", "policy_gate.least_success=0")
+    if "collisions 0.0%" in answer.shown:
+        pytest.skip("no roll-out of this seed collided")
+    assert answer.status == 1
+    assert "collisions are above 0%" in answer.error
+
+
+def test_the_champion_of_another_task_is_not_replaced_by_the_way(promote, workshop):
+    assert promote(save_seeker(workshop / "seeker")).status == 0
+    other = save_seeker(workshop / "other", reach_mm=260)
+    answer = promote(other)
+    assert answer.status == 1
+    assert answer.error == (
+        f"swarmtwin promote: {NAME} version 2 is for task 'collective', {NAME} version 1, the champion, for the same "
+        "with reach_mm 250.0 in place of 260.0: add policy_gate.other_task=true to replace it all the same\n"
+    )
+    assert champion_number() == 1
+    assert promote(other, "policy_gate.other_task=true").status == 0
+    assert champion_number() == 2
+
+
+def test_promoting_the_champion_again_changes_nothing(promote, workshop):
+    folder = save_seeker(workshop / "seeker")
+    promote(folder)
+    for candidate in (folder, 1, "challenger"):
+        answer = promote(candidate)
+        assert (answer.status, answer.shown) == (0, f"{NAME} version 1 is the champion already\n")
+    assert len(registry.versions(NAME)) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["policy_gate.rollouts=99"], "99 roll-outs are too few to judge a policy by: ask for 100 or more"),
+        (["policy_gate.vehicles=[2]"], "vehicles=[2] are 1, task 'collective' is for 2: give 2 ids, or none"),
+        (["robot=mur"], "seeker is a policy of robot 'mgr': add robot=mgr"),
+        (["candidate=9"], "no registered model 'mgr-policy'"),
+        (["candidate=mlp"], "no policy in mlp: policy.yaml is missing"),
+        (["what=polcy"], "options: field 'what': Input should be 'dynamics' or 'policy', got 'polcy'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_changes_nothing(promote, model, workshop, options, message):
+    save_seeker(workshop / "seeker")
+    model("mlp")
+    answer = promote("seeker", *options)
+    assert answer.status == 1
+    assert answer.error.startswith(f"swarmtwin promote: {message}")
+    assert len(answer.error.strip().splitlines()) == 1
+    assert champion_number() is None

@@ -1,0 +1,118 @@
+"""`swarmtwin rollout`: the same starts in the simulation and on stand-ins, side by side."""
+
+import json
+
+import av
+import numpy as np
+import pandas as pd
+import pytest
+
+from lessons import save_seeker, simulation
+from swarmtwin.commands.rollout import chosen_world
+from swarmtwin.policies.store import load_policy
+from swarmtwin.registry import folder_digest
+
+ROLLOUT = ("rollout", "policy=seeker", "count=12", "video=false")
+
+
+@pytest.fixture
+def seeker(workshop, robots):
+    """A policy for two vehicles, made by hand, and the simulation it names."""
+    digest = folder_digest(simulation(workshop / "kinematic", robots["mgr"]))
+    return save_seeker(workshop / "seeker", source="kinematic", digest=digest)
+
+
+@pytest.mark.usefixtures("seeker")
+def test_both_worlds_start_alike_and_are_told_side_by_side(swarmtwin, workshop):
+    answer = swarmtwin(*ROLLOUT, "video=true", "speed=16", "output=out")
+    assert answer.status == 0, answer.error
+    files = sorted(path.name for path in (workshop / "out").iterdir())
+    assert files == ["metrics.json", "provenance.json", "rollout.mp4", "rollouts.parquet", "rollouts.png"]
+    metrics = json.loads((workshop / "out" / "metrics.json").read_text())
+    assert metrics["simulation"]["rollouts"] == metrics["stand_in"]["rollouts"] == 12
+    steps = pd.read_parquet(workshop / "out" / "rollouts.parquet")
+    start = steps[steps.time_s == 0].pivot(index=["rollout", "vehicle"], columns="world", values="x_mm")
+    assert np.abs(start.simulation - start.stand_in).max() < 6  # the camera's noise
+    for world in ("simulation", "stand_in"):
+        own = steps[(steps.world == world) & (steps.time_s > 0)]
+        assert own.reward.mean() == pytest.approx(metrics[world]["reward"]["mean"])
+        assert own[["left", "right"]].abs().max(axis=None) <= 120
+    with av.open(str(workshop / "out" / "rollout.mp4")) as film:
+        assert film.streams.video[0].frames > 50
+    assert "reward on stand-ins against simulation:" in answer.shown
+
+
+@pytest.mark.usefixtures("seeker")
+def test_the_same_seed_gives_the_same_rollouts_and_another_seed_others(swarmtwin, workshop):
+    for output, seed in (("one", 3), ("again", 3), ("other", 4)):
+        assert swarmtwin(*ROLLOUT, f"seed={seed}", f"output={output}").status == 0
+    one, again, other = (pd.read_parquet(workshop / name / "rollouts.parquet") for name in ("one", "again", "other"))
+    pd.testing.assert_frame_equal(one, again)
+    assert not one.equals(other)
+
+
+@pytest.mark.usefixtures("seeker")
+def test_an_effect_changes_the_stand_ins_and_not_the_simulation(swarmtwin, workshop):
+    assert swarmtwin(*ROLLOUT, "output=clean").status == 0
+    assert swarmtwin(*ROLLOUT, "effects=[{name: gain_change, gain: 0.6}]", "output=weak").status == 0
+    clean, weak = (json.loads((workshop / name / "metrics.json").read_text()) for name in ("clean", "weak"))
+    assert clean["simulation"] == weak["simulation"]
+    assert weak["stand_in"]["reward"]["mean"] < clean["stand_in"]["reward"]["mean"]
+
+
+@pytest.mark.usefixtures("seeker")
+def test_one_world_alone_needs_no_other(swarmtwin, workshop):
+    assert swarmtwin(*ROLLOUT, "on=[stand_in]", "vehicles=[7,9]", "simulation=nowhere", "output=out").status == 0
+    metrics = json.loads((workshop / "out" / "metrics.json").read_text())
+    assert "simulation" not in metrics
+    assert "reward_difference_percent" not in metrics
+
+
+def test_what_is_shown_is_what_was_asked_for(seeker, robots):
+    class Played:
+        success = np.array([True, False, True, False])
+        mean_reward = np.array([-2.0, -4.0, -1.0, -0.5])
+
+        def __len__(self):
+            return 4
+
+    assert load_policy(seeker, robots["mgr"]).task.vehicles == 2
+    assert [chosen_world(Played(), show) for show in ("worst", "best", "typical")] == [1, 2, 2]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["count=5"], "5 roll-outs are too few for an interval: ask for 10 or more"),
+        (["vehicles=[2,3,4]"], "vehicles=[2,3,4] are 3, task 'collective' is for 2: give 2 ids, or none"),
+        (["vehicles=[2,2]"], "vehicle '2' is named twice: give each id once"),
+        (["policy=nowhere"], "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERSION"),
+        (["policy=mlp"], "no policy in mlp: policy.yaml is missing; name a folder that learn made"),
+        (["robot=mur"], "seeker is a policy of robot 'mgr': add robot=mgr"),
+        (["simulation=nowhere"], "no model folder nowhere"),
+        (["effects=[{name: gain_chang}]"], "effects: unknown effect 'gain_chang': did you mean 'gain_change'?"),
+        (["on=[]"], "options: field 'on': Tuple should have at least 1 item"),
+        (["policy=models:/mgr-policy@champion"], "no registered model 'mgr-policy'"),
+    ],
+)
+@pytest.mark.usefixtures("seeker")
+def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, model, workshop, options, message):
+    model("mlp")
+    answer = swarmtwin(*ROLLOUT, *options, "output=out")
+    assert answer.status == 1
+    assert answer.error.startswith(f"swarmtwin rollout: {message}")
+    assert len(answer.error.strip().splitlines()) == 1
+    assert not (workshop / "out").exists()
+
+
+def test_a_simulation_that_is_gone_or_changed_is_told(swarmtwin, workshop, robots, caplog):
+    save_seeker(workshop / "seeker", source="kinematic")
+    answer = swarmtwin(*ROLLOUT, "output=out")
+    assert answer.status == 1
+    assert answer.error == (
+        "swarmtwin rollout: the simulation that seeker was learned in: no model folder kinematic: give a folder, "
+        "models:/NAME@ALIAS or models:/NAME/VERSION; or add simulation=...\n"
+    )
+    simulation(workshop / "kinematic", robots["mgr"])
+    assert swarmtwin(*ROLLOUT, "output=out").status == 0
+    assert "kinematic is no longer the model that seeker was learned in" in caplog.messages
