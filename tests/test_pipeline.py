@@ -22,6 +22,7 @@ from swarmtwin.standin import truth
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PIPELINE = yaml.safe_load((REPOSITORY / "dvc.yaml").read_text())
+AFFORDED = yaml.safe_load((REPOSITORY / "conf" / "pipeline.yaml").read_text())
 
 
 class Stage(NamedTuple):
@@ -43,14 +44,21 @@ def filled_in():
     for name, template in PIPELINE["stages"].items():
         if "foreach" in template:
             for key, item in template["foreach"].items():
-                text = yaml.safe_dump(template["do"]).replace("${key}", key).replace("${item}", item)
-                yield f"{name}@{key}", yaml.safe_load(text)
+                values = {"key": key, **{f"item.{field}": value for field, value in item.items()}}
+                yield f"{name}@{key}", with_values(template["do"], values)
             continue
-        for values in itertools.product(*template["matrix"].values()):
-            text = yaml.safe_dump({key: value for key, value in template.items() if key != "matrix"})
-            for key, value in zip(template["matrix"], values, strict=True):
-                text = text.replace(f"${{item.{key}}}", value)
-            yield f"{name}@{'-'.join(values)}", yaml.safe_load(text)
+        content = {key: value for key, value in template.items() if key != "matrix"}
+        for chosen in itertools.product(*template["matrix"].values()):
+            values = {f"item.{key}": value for key, value in zip(template["matrix"], chosen, strict=True)}
+            yield f"{name}@{'-'.join(chosen)}", with_values(content, values)
+
+
+def with_values(content, values):
+    """A stage's content with its places filled in."""
+    text = yaml.safe_dump(content, width=1000)
+    for key, value in {**AFFORDED, **values}.items():
+        text = text.replace(f"${{{key}}}", str(value))
+    return yaml.safe_load(text)
 
 
 def stages():
@@ -167,7 +175,10 @@ def repository(tmp_path_factory):
     for model in ("kinematic", "mlp"):
         change(folder / "conf" / "model" / f"{model}.yaml", steps=20)
     change(folder / "conf" / "recipe" / "fast.yaml", batch_size=128)
-    change(folder / "conf" / "train.yaml", seeds=1)
+    for model in ("crnet", "mlp"):
+        change(folder / "conf" / "model" / f"{model}.yaml", steps=20)
+    change(folder / "conf" / "generator" / "diffusion.yaml", members=2, trend_steps=20, noise_steps=20)
+    change(folder / "conf" / "pipeline.yaml", synthetic_transitions=400)
     program = folder / ".venv" / "bin" / "swarmtwin"
     program.parent.mkdir(parents=True)
     program.write_text(f'#!/bin/sh\nPYTHONPATH={folder}/src exec {sys.executable} -m swarmtwin_here "$@"\n')
@@ -216,7 +227,7 @@ def reran(folder, *targets):
 
 def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     table = pd.read_csv(repository / "artifacts" / "comparison" / "mgr" / "table.csv")
-    assert set(table.model) == {"kinematic", "mlp"}
+    assert set(table.model) == {"kinematic", "mlp", "crnet-S"}
     assert reran(repository, "comparison@mgr") == set()
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lessons import robot_named, task_named
 
+from lessons import robot_named, task_named
 from swarmtwin.errors import UserError
 from swarmtwin.policies.figures import rewards_figure, success_figure
 from swarmtwin.policies.transfer import metrics_of, reward_difference, rollout_table, tracked_figures

@@ -34,7 +34,7 @@ def rewards_figure(pairs: Mapping[str, tuple[Rollout, Rollout]]) -> Figure:
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     with style():
-        figure = Figure(figsize=(3.3 * columns, 3.4 * rows), layout="constrained")
+        figure = Figure(figsize=(3.3 * columns, 3.7 * rows + 0.4), layout="constrained")
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for panel, (title, (simulation, vehicles)) in zip(panels, pairs.items(), strict=False):
             _draw_pairs(panel, title, simulation, vehicles)

@@ -8,16 +8,22 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from swarmtwin.policies.algorithm import OffPolicyConfig
+from swarmtwin.robot import Positive
 
 
 class Config(OffPolicyConfig):
-    """`conf/policy/sac.yaml`. The weight of the entropy is learned."""
+    """`conf/policy/sac.yaml`.
+
+    Attributes:
+        first_entropy_weight: how much entropy is worth in the beginning; it is learned from there.
+    """
 
     name: Literal["sac"]
+    first_entropy_weight: Positive
 
     def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
         """Return SAC."""
-        return SAC(**self.common(env, seed), ent_coef="auto")
+        return SAC(**self.common(env, seed), ent_coef=f"auto_{self.first_entropy_weight}")
 
     def actor(self, algorithm: Any) -> nn.Module:
         """Return the layers that lead to the mean action."""
