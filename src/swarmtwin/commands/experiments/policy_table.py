@@ -1,65 +1,61 @@
 """Policies side by side: what a person reads of the table.csv of their roll-outs in simulation and on stand-ins."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 from rich import box
 from rich.table import Table
 
+MOTIONS = {"simulation": "simulation", "stand_in": "stand-ins"}
+
 
 class PolicyRow(NamedTuple):
-    """One policy as a person reads it; reward a vehicle and step."""
+    """One policy as a person reads it; in each list the simulation's figure stands before the stand-ins'."""
 
     policy: str
     learned_in: str
-    simulation_reward: str
-    stand_in_reward: str
+    where: list[str]
+    reward: list[str]
     difference: str
-    simulation_success: str
-    stand_in_success: str
-    stand_in_collision: str
-
-
-HEADINGS = (
-    "\npolicy",
-    "\nlearned in",
-    "reward,\nsimulation",
-    "reward,\nstand-ins",
-    "difference\n%",
-    "success,\nsimulation",
-    "success,\nstand-ins",
-    "collisions,\nstand-ins",
-)
+    success: list[str]
+    collisions: list[str]
+    time_s: list[str]
 
 
 def policy_rows(table: pd.DataFrame) -> list[PolicyRow]:
     """Return each policy of table.csv, in its order."""
     return [
         PolicyRow(
-            policy=str(row.policy),
-            learned_in=str(row.simulation),
-            simulation_reward=f"{row.simulation_reward:.2f} ± {row.simulation_reward_sd:.2f}",
-            stand_in_reward=f"{row.stand_in_reward:.2f} ± {row.stand_in_reward_sd:.2f}",
-            difference=f"{row.reward_difference_percent_value:+.1f}",
-            simulation_success=f"{row.simulation_success:.0%}",
-            stand_in_success=(
-                f"{row.stand_in_success:.0%} ({row.stand_in_success_low:.0%} to {row.stand_in_success_high:.0%})"
-            ),
-            stand_in_collision=f"{row.stand_in_collision:.0%}",
+            policy=row["policy"],
+            learned_in=row["simulation"],
+            where=list(MOTIONS.values()),
+            reward=[f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in MOTIONS],
+            difference=f"{row['reward_difference_percent_value']:+.1f}",
+            success=[_rate(row, f"{motion}_success") for motion in MOTIONS],
+            collisions=[f"{row[f'{motion}_collision']:.0%}" for motion in MOTIONS],
+            time_s=[f"{row[f'{motion}_reach_time_s']:.0f}" for motion in MOTIONS],
         )
-        for row in table.itertuples()
+        for row in table.to_dict("records")
     ]
 
 
 def policy_table(title: str, table: pd.DataFrame) -> Table:
-    """Return the terminal's table: a row for each policy."""
+    """Return the terminal's table: two lines for each policy."""
     shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    shown.title = f"{title}: policies from the same starts in simulation and on stand-ins of other vehicles"
-    for number, heading in enumerate(HEADINGS):
-        shown.add_column(heading, justify="left" if number < 2 else "right", no_wrap=True)
+    shown.title = f"{title}: policies on {int(table.rollouts.iloc[0])} equal starts"
+    shown.add_column("\npolicy", no_wrap=True)
+    shown.add_column("\nin", no_wrap=True)
+    for heading in ("\nreward", "\nsuccess", "colli-\nsions", "time\ns", "diffe-\nrence %"):
+        shown.add_column(heading, justify="right", no_wrap=True)
     for row in policy_rows(table):
-        shown.add_row(*row)
+        pairs = ("\n".join(cell) for cell in (row.where, row.reward, row.success, row.collisions, row.time_s))
+        shown.add_row(row.policy, *pairs, f"\n{row.difference}")
     shown.caption = (
-        "reward a vehicle and step, mean ± standard deviation over roll-outs; success with its 95 % interval"
+        "stand-ins: other vehicles than the one recorded; reward a vehicle and step, mean ± standard deviation; "
+        "success with its 95 % interval; difference: of the reward, stand-ins against simulation"
     )
     return shown
+
+
+def _rate(row: dict[Any, Any], name: str) -> str:
+    return f"{row[name]:.0%} ({100 * row[f'{name}_low']:.0f} to {100 * row[f'{name}_high']:.0f})"

@@ -8,10 +8,9 @@ from typing import Annotated, Any, Literal
 
 import pandas as pd
 from pydantic import Field
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
+from swarmtwin.commands.experiments.policy_table import policy_table
 from swarmtwin.commands.rolling_out import in_simulation, on_stand_ins, other_vehicles, simulation_of
 from swarmtwin.commands.rollout import chosen_world
 from swarmtwin.errors import UserError
@@ -74,7 +73,7 @@ def run(options: Options) -> None:
         for entry in entries:
             tracked.metrics(tracked_figures(entry.metrics, f"{entry.name}/"))
         tracked.folder(options.output, "transfer")
-    Console().print(transfer_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
+    Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
     Console().print(f"pictures and films: {options.output}", highlight=False, soft_wrap=True)
 
 
@@ -148,35 +147,3 @@ def _row(entry: Entry) -> dict[str, Any]:
 
 
 RATE_PARTS = {"value": "", "low": "_low", "high": "_high"}
-
-
-def transfer_table(title: str, table: pd.DataFrame) -> Table:
-    """Return the terminal's table: a row for each policy."""
-    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    shown.title = f"{title}: policies from the same starts in simulation and on stand-ins of other vehicles"
-    shown.add_column("\npolicy", no_wrap=True)
-    shown.add_column("\nlearned in", no_wrap=True)
-    headings = (
-        "reward,\nsimulation",
-        "reward,\nstand-ins",
-        "difference\n%",
-        "success,\nsimulation",
-        "success,\nstand-ins",
-    )
-    for heading in (*headings, "collisions,\nstand-ins"):
-        shown.add_column(heading, justify="right", no_wrap=True)
-    for row in table.itertuples():
-        shown.add_row(
-            str(row.policy),
-            str(row.simulation),
-            f"{row.simulation_reward:.2f} ± {row.simulation_reward_sd:.2f}",
-            f"{row.stand_in_reward:.2f} ± {row.stand_in_reward_sd:.2f}",
-            f"{row.reward_difference_percent_value:+.1f}",
-            f"{row.simulation_success:.0%}",
-            f"{row.stand_in_success:.0%} ({row.stand_in_success_low:.0%} to {row.stand_in_success_high:.0%})",
-            f"{row.stand_in_collision:.0%}",
-        )
-    shown.caption = (
-        "reward a vehicle and step, mean ± standard deviation over roll-outs; success with its 95 % interval"
-    )
-    return shown
