@@ -28,6 +28,7 @@ from swarmtwin.tracking import TrackedRun, tracked_run
 from swarmtwin.transitions import Preparation, SplitOptions, Transitions, mix
 
 CHECKPOINTS = "checkpoints"
+FEWEST_SPARE_SEEDS = 4
 
 
 class Options(StrictModel):
@@ -93,7 +94,8 @@ def _train(options: Options, config: ModelConfig, transitions: Transitions, chec
     seeds = range(options.seed, options.seed + options.seeds)
     epochs = options.recipe.for_model(config, len(transitions.part("train"))).epochs or 0
     with training_bars(f"{options.robot.name} {config.name}", epochs) as report:
-        return train(transitions, config, options.recipe, seeds, checkpoints, report, reserve=len(seeds))
+        spare = max(len(seeds), FEWEST_SPARE_SEEDS)
+        return train(transitions, config, options.recipe, seeds, checkpoints, report, reserve=spare)
 
 
 def _provenance(trained: Trained, preparation: Preparation) -> Provenance:
