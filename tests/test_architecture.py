@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "transitions": FOUNDATION | {"recordings"},
     "trainer": set(),
     "weights": {"errors"},
-    "dynamics": FOUNDATION | {"recordings", "transitions", "trainer", "weights"},
+    "dynamics": FOUNDATION | {"recordings", "transitions", "processes", "trainer", "weights"},
     "generators": FOUNDATION | {"transitions", "trainer", "weights"},
     "processes": {"errors"},
     "world": FOUNDATION | {"recordings", "transitions", "dynamics"},

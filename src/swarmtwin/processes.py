@@ -17,7 +17,11 @@ Report = Callable[..., None]
 
 
 class Job(Protocol[Result]):
-    """Something to do, in a process of its own: it and its result can be pickled."""
+    """Something to do with one seed, in a process of its own: it and its result can be pickled."""
+
+    @property
+    def seed(self) -> int:
+        """The seed, by which the job is known."""
 
     def run(self, report: Report | None) -> Result:
         """Do it, calling `report` now and then."""
@@ -74,7 +78,7 @@ class _Worker(Generic[Result]):
     def __init__(self, number: int, job: Job[Result], preload: str) -> None:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload([preload])
-        self.number = number
+        self.number, self.seed = number, job.seed
         self.messages, sender = context.Pipe(duplex=False)
         self.process: BaseProcess = context.Process(target=_work, args=(job, sender), daemon=True)
         self.process.start()
@@ -87,7 +91,7 @@ class _Worker(Generic[Result]):
         except (EOFError, OSError):
             self.process.join()
             raise UserError(
-                f"process {self.number + 1} ended with exit code {self.process.exitcode}, as when memory runs out: "
+                f"seed {self.seed}: its process ended with exit code {self.process.exitcode}, as when memory runs out: "
                 "make room and run the same command again"
             ) from None
         if isinstance(message, Exception):
