@@ -7,12 +7,13 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "swarmtwin"
 
-FOUNDATION = {"configuration", "errors", "files", "geometry", "plotting", "robot"}
+FOUNDATION = {"configuration", "errors", "files", "geometry", "kinds", "plotting", "robot"}
 MAY_IMPORT = {
     "configuration": set(),
     "errors": set(),
     "files": {"errors"},
     "geometry": set(),
+    "kinds": {"errors", "robot"},
     "plotting": set(),
     "robot": {"errors"},
     "recordings": FOUNDATION,

@@ -25,7 +25,6 @@ class Job(Protocol[Result]):
 
     def run(self, report: Report | None) -> Result:
         """Do it, calling `report` now and then."""
-        raise NotImplementedError
 
 
 class _Done(NamedTuple):

@@ -93,8 +93,7 @@ def test_a_worker_that_was_killed_is_told_of(transitions):
         train(transitions, ENDLESS, recipe(), [3, 4], report=kill_all, processes=2)
     assert str(error.value)[:6] in ("seed 3", "seed 4")
     assert str(error.value)[6:] == (
-        ": its process ended with exit code -9, as when memory runs out: "
-        "make room and run the same command again"
+        ": its process ended with exit code -9, as when memory runs out: make room and run the same command again"
     )
 
 

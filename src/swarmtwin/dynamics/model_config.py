@@ -1,5 +1,6 @@
 """What every model's configuration has in common; each model file ends in its own kind of it."""
 
+from abc import abstractmethod
 from typing import Annotated, ClassVar
 
 from pydantic import Field, field_validator
@@ -44,10 +45,10 @@ class ModelConfig(StrictModel):
         """Return the parts of a situation that the model looks at."""
         return self.situation or robot.situation
 
+    @abstractmethod
     def build(self, robot: Robot, inputs: int) -> nn.Module:
         """Build the network: scaled inputs (N, inputs) → scaled displacements (N, 3).
 
         Raises:
             UserError: the model does not fit this robot.
         """
-        raise NotImplementedError

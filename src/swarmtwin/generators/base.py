@@ -1,5 +1,6 @@
 """The one interface of all generators: real rows go in, any number of synthetic rows comes out."""
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import lightning
@@ -51,7 +52,7 @@ class RealRows(NamedTuple):
         return cls(rows[0], torch.as_tensor(run), rows[1])
 
 
-class Generator(lightning.LightningModule):
+class Generator(lightning.LightningModule, ABC):
     """A generative model of one robot's transitions (section 3.2 of the paper).
 
     It owns its networks and scalings, so that a saved generator needs nothing beside it: above all no real row.
@@ -72,21 +73,21 @@ class Generator(lightning.LightningModule):
         self.config = config
         self.columns = Columns.of(robot)
 
+    @abstractmethod
     def start(self, real: RealRows) -> None:
         """Take scalings, and whatever else is not learned by gradients, from the real rows."""
-        raise NotImplementedError
 
+    @abstractmethod
     def training_step(self, step: int, batch_index: int) -> dict[str, Tensor]:
         """Take step number `step` of the training on real rows of its own choice; return losses by name."""
-        raise NotImplementedError
 
+    @abstractmethod
     def validation_figures(self) -> dict[str, float]:
         """Say how good the generator is by now, on the validation rows; lower is better."""
-        raise NotImplementedError
 
     def finish(self) -> None:
         """Do what is left to do after the last step."""
 
+    @abstractmethod
     def draw(self, count: int, source: torch.Generator) -> Tensor:
         """Draw rows (count, width); all randomness comes from `source`."""
-        raise NotImplementedError

@@ -1,5 +1,6 @@
 """What every generator's configuration has in common; each generator file ends in its own kind of it."""
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
@@ -23,10 +24,10 @@ class GeneratorConfig(StrictModel):
     name: str
 
     @property
+    @abstractmethod
     def training_steps(self) -> int:
         """How many steps its whole training takes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def build(self, robot: Robot) -> "Generator":
         """Build the generator, untrained."""
-        raise NotImplementedError

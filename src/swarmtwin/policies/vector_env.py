@@ -78,13 +78,13 @@ class SharedPolicyEnv(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Refuse: sub-environments have no attributes of their own."""
-        raise NotImplementedError
+        raise AttributeError("the sub-environments share one world and have nothing of their own")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
         """Refuse: sub-environments have no methods of their own."""
-        raise NotImplementedError
+        raise AttributeError("the sub-environments share one world and have nothing of their own")
 
     def env_is_wrapped(self, wrapper_class: type, indices: VecEnvIndices = None) -> list[bool]:
         """Return that no sub-environment is wrapped."""

@@ -44,13 +44,13 @@ class TaskConfig(StrictModel):
     margin_mm: NotNegative
     outside_mm: NotNegative
 
+    @abstractmethod
     def build(self, robot: Robot) -> "Task":
         """Return the task for a robot.
 
         Raises:
             UserError: it cannot be done by this robot in its arena.
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
