@@ -6,8 +6,8 @@ import random
 import numpy as np
 import pytest
 import torch
-from lessons import ALGORITHMS, algorithm_named, lesson, robot_named, simulation, small, task_named
 
+from lessons import ALGORITHMS, algorithm_named, lesson, robot_named, simulation, small, task_named
 from swarmtwin.errors import UserError
 from swarmtwin.policies import learning
 from swarmtwin.policies.checkpoint import read_checkpoint

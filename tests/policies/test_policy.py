@@ -5,8 +5,8 @@ import onnxruntime
 import pytest
 import torch
 import yaml
-from lessons import ALGORITHMS, ARCHITECTURE, lesson, provenance, robot_named, simulation, small, task_named
 
+from lessons import ALGORITHMS, ARCHITECTURE, lesson, provenance, robot_named, simulation, small, task_named
 from swarmtwin.errors import UserError
 from swarmtwin.policies.learning import Learner
 from swarmtwin.policies.onnx_file import check_equal, onnx_model
