@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "recordings": FOUNDATION,
     "transitions": FOUNDATION | {"recordings"},
     "trainer": set(),
-    "weights": {"errors"},
+    "weights": {"errors", "files"},
     "dynamics": FOUNDATION | {"recordings", "transitions", "processes", "trainer", "weights"},
     "generators": FOUNDATION | {"transitions", "trainer", "weights"},
     "processes": {"errors"},

@@ -58,9 +58,16 @@ def new_folder(
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all, replacing what `path` held."""
+    with whole_file(path) as aside:
+        aside.write_text(text)
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a path beside `path` to write to; it replaces `path` when the block ends without an exception."""
     aside = path.with_name(f".{path.name}.partial")
     try:
-        aside.write_text(text)
+        yield aside
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import whole_file
 
 WEIGHTS = "weights.safetensors"
 
@@ -17,12 +18,8 @@ WEIGHTS = "weights.safetensors"
 def save_weights(folder: Path, weights: Mapping[str, torch.Tensor]) -> None:
     """Write `weights.safetensors` into an existing `folder`, whole or not at all."""
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in weights.items()}
-    aside = folder / f".{WEIGHTS}.partial"
-    try:
+    with whole_file(folder / WEIGHTS) as aside:
         save_file(plain, aside)
-        aside.replace(folder / WEIGHTS)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def load_weights(folder: Path, remedy: str) -> dict[str, torch.Tensor]:

@@ -113,7 +113,7 @@ def test_a_checkpoint_that_cannot_be_used_is_started_over(transitions, tmp_path,
 
 
 def test_a_full_disk_is_a_fault_of_the_system(transitions, tmp_path):
-    (tmp_path / "seed-1.partial").symlink_to("/dev/full")
+    (tmp_path / ".seed-1.ckpt.partial").symlink_to("/dev/full")
     with pytest.raises(OSError, match="No space left on device") as error:
         train(transitions, config(steps=5), recipe(), [1], checkpoints=tmp_path)
     assert error.value.errno == errno.ENOSPC

@@ -14,6 +14,7 @@ from torch.optim.lr_scheduler import ReduceLROnPlateau
 
 from swarmtwin.dynamics.base import Batch
 from swarmtwin.dynamics.batches import ShuffledBatches, epoch_seed
+from swarmtwin.files import whole_file
 
 log = logging.getLogger(__name__)
 
@@ -153,14 +154,10 @@ class Progress(lightning.Callback):
             "optimiser": trainer.optimizers[0].state_dict(),
             "schedule": trainer.lr_scheduler_configs[0].scheduler.state_dict(),
         }
-        aside = self.checkpoint.with_suffix(".partial")
         content = io.BytesIO()  # a full disk is an OSError to Python, and none to torch
         torch.save(state, content)
-        try:
+        with whole_file(self.checkpoint) as aside:
             aside.write_bytes(content.getbuffer())
-            aside.replace(self.checkpoint)
-        finally:
-            aside.unlink(missing_ok=True)
 
     def _read_checkpoint(self) -> dict[str, Any]:
         """Return the checkpoint's content; nothing if there is none, or if it is damaged or of another training."""

@@ -11,6 +11,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
+from swarmtwin.files import whole_file
 from swarmtwin.policies.chances import read_chances, restore_chances
 from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.world import World
@@ -23,14 +24,10 @@ State = dict[str, Any]
 
 def write_checkpoint(path: Path, state: State) -> None:
     """Write a state whole or not at all, replacing what `path` held."""
-    aside = path.with_suffix(".partial")
     content = io.BytesIO()  # a full disk is an OSError to Python, and none to torch
     torch.save(state, content)
-    try:
+    with whole_file(path) as aside:
         aside.write_bytes(content.getbuffer())
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def read_checkpoint(path: Path | None, identity: str, seed: int) -> State:

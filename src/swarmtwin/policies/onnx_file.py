@@ -10,6 +10,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import whole_file
 from swarmtwin.policies.policy import Policy
 
 ONNX = "policy.onnx"
@@ -26,12 +27,8 @@ def write_onnx(path: Path, policy: Policy) -> None:
     """
     content = onnx_model(policy).SerializeToString()
     check_equal(content, policy)
-    aside = path.with_name(f".{path.name}.partial")
-    try:
+    with whole_file(path) as aside:
         aside.write_bytes(content)
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def check_equal(content: bytes, policy: Policy) -> None:

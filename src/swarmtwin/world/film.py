@@ -8,6 +8,7 @@ from pathlib import Path
 import av
 import numpy as np
 
+from swarmtwin.files import whole_file
 from swarmtwin.world.rendering import draw, side_by_side
 from swarmtwin.world.rollout import Rollout
 from swarmtwin.world.shot import shot_of
@@ -50,12 +51,8 @@ def write_film(path: Path, pictures: Iterable[np.ndarray], frames_per_s: int = F
     first = next(pictures, None)
     if first is None or any(size % 2 for size in first.shape[:2]):
         raise ValueError("a film needs pictures of an even width and height")
-    aside = path.with_name(f".{path.name}.partial")
-    try:
+    with whole_file(path) as aside:
         _encode(aside, first, pictures, frames_per_s)
-        aside.replace(path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 def _encode(path: Path, first: np.ndarray, others: Iterator[np.ndarray], frames_per_s: int) -> None:
