@@ -8,7 +8,16 @@ import pytest
 from drives import drive, header_of
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.transitions import Fractions, GeneratorOrigin, first_runs, from_recording, mix, split_by_run
+from swarmtwin.transitions import (
+    SPLITS,
+    Fractions,
+    GeneratorOrigin,
+    first_runs,
+    from_recording,
+    held_out,
+    mix,
+    split_by_run,
+)
 from swarmtwin.transitions.preparation import counts_by_split, describe, load_preparation, save_preparation
 
 FRACTIONS = Fractions(train=0.8, validation=0.1, test=0.1)
@@ -26,11 +35,13 @@ def real(robots):
 
 @pytest.fixture(scope="module")
 def synthetic(real):
-    """As many transitions as if they had been generated, without pose, time and previous command."""
+    """As many transitions as if they had been generated, without pose, time, commands before and neighbours."""
     transitions, preparation = real
     nothing = {
-        name: np.full_like(getattr(transitions, name), np.nan) for name in ("pose", "previous_command", "time_s")
+        name: np.full_like(getattr(transitions, name), np.nan)
+        for name in ("pose", "previous_command", "earlier_command", "time_s")
     }
+    nothing["neighbours"] = np.empty((len(transitions), 0, 3))
     runs = tuple(f"synthetic-{index}" for index in range(len(transitions.runs)))
     made = dataclasses.replace(
         transitions, **nothing, runs=runs, vehicles=("synthetic",), vehicle=np.zeros_like(transitions.vehicle)
@@ -72,12 +83,26 @@ def test_a_mixture_is_as_large_as_the_real_data_and_has_their_share(real, synthe
 
 def test_a_mixture_holds_only_what_both_hold_and_every_row_is_one_of_theirs(real, synthetic):
     transitions, _ = mix(real, synthetic, 0.5)
-    for name in ("pose", "previous_command", "time_s"):
+    for name in ("pose", "previous_command", "earlier_command", "time_s", "neighbours"):
         assert np.isnan(getattr(transitions, name)).all()
+    assert np.isfinite(real[0].neighbours).all()
     known = {row.tobytes() for row in real[0].displacement}
     assert all(row.tobytes() in known for row in transitions.displacement)
     for run in np.unique(transitions.run):
         assert len(set(transitions.split[transitions.run == run])) == 1
+
+
+def test_the_first_whole_runs_are_held_out_until_there_are_enough(real):
+    """Every run of the two vehicles makes 24 transitions."""
+    transitions, _ = real
+    unseen = transitions.where(transitions.split != SPLITS.index("train"))
+    in_order = np.unique(unseen.run)
+    for most, runs in ((10**6, len(in_order)), (72, 3), (71, 2), (24, 1), (5, 1)):
+        part = held_out(transitions, ("validation", "test"), most)
+        np.testing.assert_array_equal(np.unique(part.run), in_order[:runs])
+        assert len(part) == 24 * runs
+    assert set(held_out(transitions, ("test",), 10**6).split) == {SPLITS.index("test")}
+    assert len(held_out(transitions, (), 10**6)) == 0
 
 
 def test_what_does_not_fit_is_refused(real, synthetic):

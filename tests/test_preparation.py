@@ -4,6 +4,7 @@ import dataclasses
 import json
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -156,6 +157,19 @@ def test_transitions_are_loaded_as_they_were_saved(transitions, tmp_path):
             np.testing.assert_array_equal(found, saved, err_msg=field.name)
         else:
             assert found == saved
+
+
+def test_a_file_of_an_old_version_has_no_earlier_commands(transitions, tmp_path):
+    save_transitions(tmp_path, transitions)
+    file = tmp_path / "transitions.parquet"
+    table = pyarrow.parquet.read_table(file)
+    np.testing.assert_array_equal(table.column("earlier_right").to_numpy(), transitions.earlier_command[:, 1])
+    assert np.isfinite(transitions.earlier_command).any()
+    pyarrow.parquet.write_table(table.drop_columns(["earlier_left", "earlier_right"]), file)
+    loaded = load_transitions(tmp_path)
+    assert loaded.earlier_command.shape == transitions.command.shape
+    assert np.isnan(loaded.earlier_command).all()
+    np.testing.assert_array_equal(loaded.previous_command, transitions.previous_command)
 
 
 def test_runs_without_transitions_keep_their_place(transitions, tmp_path):

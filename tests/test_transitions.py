@@ -96,6 +96,31 @@ def test_previous_commands_are_those_held_before(mgr):
         np.testing.assert_array_equal(previous, expected)
 
 
+def test_earlier_commands_are_those_held_before_the_previous_ones(mgr):
+    """Of two runs: nothing before row 0, a gap after row 7, no command in row 12, one that is not allowed in row 16."""
+    tracks = [straight_track(mgr, run="a"), straight_track(mgr, run="b")]
+    for track in tracks:
+        track.time_s[8:] += 3.0
+        track.command[12] = np.nan
+        track.command[16, 0] = 120.5
+    transitions, _ = transitions_of(mgr, tracks)
+    rows = [row for row in range(STEPS) if row not in (7, 12, 16)]
+    assert len(transitions) == 2 * len(rows)
+    unknown = (0, 1, 8, 9, 13, 14, 17, 18)
+    expected = [np.full(2, np.nan) if row in unknown else tracks[0].command[row - 2] for row in rows]
+    np.testing.assert_array_equal(transitions.earlier_command, np.tile(expected, (2, 1)))
+    without_previous = np.isnan(transitions.previous_command)
+    assert np.isnan(transitions.earlier_command[without_previous]).all()
+
+
+def test_a_transition_that_is_dropped_for_its_pose_still_lends_its_command(mgr):
+    track = straight_track(mgr)
+    track.pose[5] = np.nan
+    transitions, _ = transitions_of(mgr, [track])
+    rows = [row for row in range(2, STEPS) if row not in (4, 5)]
+    np.testing.assert_array_equal(transitions.earlier_command[2:], track.command[np.array(rows) - 2])
+
+
 # ---- reasons
 
 SINGLE_FAULTS = [

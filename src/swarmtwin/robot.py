@@ -13,7 +13,9 @@ POSE_COLUMNS = ("x_mm", "y_mm", "heading_rad")
 DISPLACEMENT_COLUMNS = ("forward_mm", "left_mm", "turn_rad")
 RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
 
-SituationPart = Literal["command", "previous_command", "pose", "elapsed_s", "duration_s"]
+SituationPart = Literal[
+    "command", "previous_command", "earlier_command", "pose", "elapsed_s", "duration_s", "neighbours"
+]
 Kinematics = Literal["differential_drive", "unicycle", "tail_fin"]
 Positive = Annotated[float, Field(gt=0)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
@@ -101,6 +103,33 @@ class LargestDisplacement(StrictModel):
     turn_rad: Positive
 
 
+class Actuators(StrictModel):
+    """What moves a robot, as far as a diagnosis must know it.
+
+    Attributes:
+        kind: `wheel`: speed follows the command, and what grips less goes less far; `thrust`: fins, propellers, jets
+            push against a drag.
+        effort: the command columns that each say how hard one actuator works; of wheels the left and the right one.
+            None where the command is a forward speed and a turn rate (kinematics `unicycle`).
+        steering: of thrust, the command column that is its angle in degrees, if one is.
+        track_mm: of wheels, the distance between left and right; null: learned from the recording where the command
+            names each wheel.
+        strength_exponents: how displacement (forward, left, turn) goes with an actuator's speed. Wheels: in proportion.
+            Thrust grows with the square, and so does motion against linear drag; against quadratic drag motion is in
+            proportion.
+    """
+
+    kind: Literal["wheel", "thrust"]
+    effort: tuple[str, ...] = ()
+    steering: str | None = None
+    track_mm: Positive | None = None
+    strength_exponents: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+
+    def columns(self) -> tuple[str, ...]:
+        """Return the command columns that it names."""
+        return (*self.effort, *([self.steering] if self.steering else []))
+
+
 class Robot(StrictModel):
     """A kind of vehicle. Everything that swarmtwin knows of it stands in one file in `conf/robot/`.
 
@@ -115,6 +144,9 @@ class Robot(StrictModel):
         situation: what its dynamics models are given (the paper: command for the MGR, command and pose for the MUR).
         kinematics: the kinematic model fitted as a baseline.
         vehicle_size_mm: footprint (length, width), for pictures and collisions.
+        actuators: what moves it; null: as usual for its kinematics.
+        unit_spread: by which share the actuators of two units of this robot usually differ (standard deviation): a
+            smaller difference between vehicles is no gap.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -127,6 +159,8 @@ class Robot(StrictModel):
     situation: tuple[SituationPart, ...]
     kinematics: Kinematics
     vehicle_size_mm: tuple[Positive, Positive]
+    actuators: Actuators | None = None
+    unit_spread: Annotated[float, Field(ge=0, lt=0.5)] = 0.03
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -136,6 +170,8 @@ class Robot(StrictModel):
             raise ValueError("situation must contain 'command'")
         if self.longest_gap_s < self.period_s:
             raise ValueError(f"longest_gap_s {self.longest_gap_s} is shorter than the period {self.period_s}")
+        if self.actuators and (unknown := [name for name in self.actuators.columns() if name not in self.command]):
+            raise ValueError(f"actuators name {unknown[0]!r}, which is no command column: {', '.join(self.command)}")
         return self
 
     @classmethod
@@ -153,6 +189,18 @@ class Robot(StrictModel):
         except yaml.YAMLError as error:
             raise UserError(f"{path} is not valid YAML: {error}") from None
         return cls.parse(content, str(path))
+
+    @property
+    def actuation(self) -> Actuators:
+        """Its actuators: those stated, or what is usual for its kinematics."""
+        if self.actuators:
+            return self.actuators
+        if self.kinematics == "unicycle":
+            return Actuators(kind="wheel", track_mm=self.vehicle_size_mm[1])
+        if self.kinematics == "differential_drive":
+            return Actuators(kind="wheel", effort=self.command_columns)
+        angle, amplitude, *_ = self.command_columns
+        return Actuators(kind="thrust", effort=(amplitude,), steering=angle, strength_exponents=(1.0, 2.0, 2.0))
 
     @property
     def command_columns(self) -> tuple[str, ...]:

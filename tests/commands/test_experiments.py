@@ -8,10 +8,40 @@ import pandas as pd
 import pytest
 import yaml
 
+from swarmtwin.gap.diagnosis import Cause, Diagnosis, Estimate, Gain, Gains
 from swarmtwin.tracking import use_store
 
 RECORDINGS = {"train_vehicle": "reference", "other_vehicle": "other_vehicle", "open_loop": "open_loop"}
 COMPARISON = ("experiment", "name=dynamics", "models=models", *(f"{name}={path}" for name, path in RECORDINGS.items()))
+
+SAG = Diagnosis(
+    verdict="explained",
+    causes=(
+        Cause(
+            name="battery_sag",
+            parameters={"loss": Estimate(value=0.3, low=0.28, high=0.32, unit="")},
+            confidence=1.0,
+            rivals=(),
+            share_of_gap=1.0,
+            evidence="",
+        ),
+    ),
+    depends_on=("time",),
+    gain=Gains(
+        position_mm=Gain(before=6.5, after=3.2, low=3.1, high=3.5),
+        orientation_deg=Gain(before=5.0, after=4.0, low=0.9, high=1.1),
+        open_loop_mm=Gain(before=300.0, after=90.0, low=190.0, high=230.0),
+    ),
+    next_recording=None,
+    left_over=(),
+    tests=(),
+    robot="mgr",
+    vehicles=("1",),
+    runs={},
+    transitions={},
+    extension="mechanisms",
+    seed=0,
+)
 
 
 @pytest.fixture
@@ -137,3 +167,31 @@ def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swar
     for row in table.query("recording == 'train_vehicle'").itertuples():
         assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in words
         assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in answer.shown
+
+
+def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
+    overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
+    swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
+    swarmtwin(*COMPARISON, "output=artifacts/comparison/mgr")
+    folder = workshop / "artifacts" / "diagnosis" / "mgr"
+    (folder / "figures").mkdir(parents=True)
+    picture = next((workshop / "artifacts").rglob("*.png")).read_bytes()
+    for name in ("time", "place"):
+        (folder / "figures" / f"{name}.png").write_bytes(picture)
+    (folder / "diagnosis.json").write_text(SAG.model_dump_json())
+    answer = swarmtwin(*overview)
+    assert answer.status == 0
+    shown = " ".join(answer.shown.split())
+    assert "because the actuators lose 30 % of their speed by the session's end." in shown
+    assert "artifacts/diagnosis/mgr/report.html" in answer.shown
+    page = Page((workshop / "overview" / "overview.html").read_text())
+    words = " ".join(page.words)
+    assert "because the actuators lose 30 % of their speed by the session's end." in words
+    assert "position after one period 6.50 mm 3.20 mm −3.3 mm (−3.5 to −3.1), −51 %" in words
+    assert "Error over the session" in words
+    assert "over the place" not in words
+
+    (folder / "diagnosis.json").write_text("{")
+    answer = swarmtwin(*overview, "overwrite=true")
+    assert answer.status == 1
+    assert "artifacts/diagnosis/mgr/diagnosis.json is damaged" in answer.error

@@ -6,14 +6,19 @@ import subprocess
 import sys
 
 import mlflow
+import numpy as np
 import pandas as pd
 import pytest
 
 from swarmtwin import registry
 from swarmtwin.dynamics.progress import Progress
 from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.dynamics.store import load_evidence
+from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking import use_store
+from swarmtwin.transitions import SPLITS, GeneratorOrigin, load_preparation, load_transitions
+from swarmtwin.transitions.preparation import save_preparation
 
 MLP = ("train", "recording=reference", "model=mlp", "model.steps=150", "recipe.batch_size=128")
 QUICK = ("train", "recording=reference", "recipe.epochs=2", "seeds=1", "register=false")
@@ -98,6 +103,66 @@ def test_a_run_is_tracked_and_its_model_registered_as_challenger(swarmtwin, work
     assert challenger.number == 2
     assert challenger.tags["digest"] == folder_digest(workshop / "seed-5")
     assert folder_digest(challenger.folder()) == folder_digest(workshop / "seed-5")
+
+
+def test_the_evidence_beside_a_model_is_every_run_that_it_was_not_fitted_to(swarmtwin, workshop):
+    assert swarmtwin("prepare", "recording=pair", "output=prepared").status == 0
+    assert swarmtwin(*QUICK[:1], "transitions=prepared", *QUICK[2:], "model=mlp", "output=out").status == 0
+    evidence, prepared = load_evidence(workshop / "out"), load_transitions(workshop / "prepared")
+    in_evidence = {evidence.runs[index] for index in evidence.run}
+    assert in_evidence == set(prepared.runs) - set(Provenance.read(workshop / "out").runs["train"])
+    expected = prepared.where(prepared.split != SPLITS.index("train"))
+    for name in ("command", "pose", "displacement", "neighbours", "time_s", "vehicle", "split"):
+        np.testing.assert_array_equal(getattr(evidence, name), getattr(expected, name))
+    assert evidence.neighbours.shape[1] == 1
+    assert evidence.robot == prepared.robot
+
+
+def test_the_evidence_goes_with_the_model_into_the_registry_and_does_not_change_its_digest(swarmtwin, workshop):
+    assert swarmtwin(*QUICK[:-1], "model=kinematic", "register=true", "output=out").status == 0
+    fetched = registry.find_version("models:/mgr-dynamics@challenger").folder()
+    assert (fetched / "evidence.parquet").read_bytes() == (workshop / "out" / "evidence.parquet").read_bytes()
+    digest = folder_digest(workshop / "out")
+    (workshop / "out" / "evidence.parquet").unlink()
+    assert folder_digest(workshop / "out") == digest
+    assert load_evidence(workshop / "out") is None
+
+
+def test_damaged_evidence_is_refused(workshop, model):
+    file = model("mlp") / "evidence.parquet"
+    file.write_bytes(file.read_bytes()[:-50])
+    with pytest.raises(UserError) as refused:
+        load_evidence(file.parent)
+    assert str(refused.value).startswith(f"{file}: no transitions can be read (")
+    assert str(refused.value).endswith("): train the model anew")
+
+
+def test_synthetic_transitions_are_no_evidence_and_a_mixture_s_is_what_its_generator_has_not_seen(swarmtwin, workshop):
+    assert swarmtwin("prepare", "recording=reference", "output=prepared").status == 0
+    real, preparation = load_transitions(workshop / "prepared"), load_preparation(workshop / "prepared")
+    origin = GeneratorOrigin(name="gan", digest="d", seed=1, real_transitions=1)
+    lineage = {"synthetic": preparation.learned, "elsewhere": (*preparation.learned, "another run")}
+    for name, learned in lineage.items():
+        (workshop / name).mkdir()
+        changes = {"origin": "synthetic", "generator": origin, "learned": learned}
+        save_preparation(workshop / name, real, preparation.model_copy(update=changes))
+    quick = (*QUICK[2:], "model=kinematic")
+    assert swarmtwin("train", "transitions=synthetic", *quick, "output=of-synthetic").status == 0
+    assert load_evidence(workshop / "of-synthetic") is None
+    for name in lineage:
+        mixed = ("transitions=prepared", f"synthetic={name}", "real_share=0.5", *quick, f"output=of-{name}-mixed")
+        assert swarmtwin("train", *mixed).status == 0
+    assert load_evidence(workshop / "of-elsewhere-mixed") is None
+    np.testing.assert_array_equal(load_evidence(workshop / "of-synthetic-mixed").time_s, real.part("test").time_s)
+
+
+def test_a_network_that_should_take_neighbours_is_refused(swarmtwin, workshop):
+    options = ("recording=pair", *QUICK[2:], "model=mlp", "model.situation=[command,neighbours]", "output=out")
+    answer = swarmtwin("train", *options)
+    assert answer.status == 1
+    message = "swarmtwin train: no network takes neighbours yet: take it out of model.situation"
+    assert answer.error.strip() == message
+    assert not (workshop / "out").exists()
 
 
 def test_without_registering_there_is_no_version(swarmtwin):

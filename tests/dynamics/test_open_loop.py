@@ -3,14 +3,16 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, toy_track
+from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, toy_track, toy_transitions
 
 from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.open_loop import open_loop, rmse_mm, summary
 from swarmtwin.dynamics.registry import config_class
+from swarmtwin.dynamics.situation import Situation
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose
-from swarmtwin.recordings.recording import Track
+from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.transitions import from_recording
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +31,9 @@ def exact(robots):
 def inexact(robots, *parts):
     torch.manual_seed(0)
     dynamics = Dynamics(robots["mgr"], config_class("mlp")(situation=("command", *parts)))
+    example = toy_transitions(robots["mgr"], 200)
+    situation = Situation.from_transitions(example, dynamics.parts)
+    dynamics.learn_scaling(situation, torch.as_tensor(example.displacement, dtype=torch.float32))
     return dynamics.eval()
 
 
@@ -92,6 +97,21 @@ def test_the_previous_command_is_that_of_the_step_before(robots):
     np.testing.assert_allclose(previous[1:], track.command[:3], rtol=1e-6)
 
 
+def test_the_earlier_command_is_that_of_two_steps_before(robots):
+    """Of two runs at once; the second begins at its third row, and what came before it is not known there."""
+    dynamics = inexact(robots, "earlier_command")
+    seen = []
+    handle = dynamics.encoding.register_forward_pre_hook(lambda _, arguments: seen.append(arguments[0]))
+    whole, late = toy_track(robots["mgr"], 5), toy_track(robots["mgr"], 7, seed=1)
+    late.pose[:2] = np.nan
+    open_loop(dynamics, [whole, late])
+    handle.remove()
+    earlier = torch.stack([situation.earlier_command for situation in seen])
+    assert earlier[:2].isnan().all()
+    np.testing.assert_allclose(earlier[2:, 0], whole.command[:3], rtol=1e-6)
+    np.testing.assert_allclose(earlier[2:, 1], late.command[2:5], rtol=1e-6)
+
+
 @pytest.mark.parametrize("obstacle", ["command", "gap"])
 def test_a_missing_command_or_a_gap_ends_the_prediction(robots, exact, obstacle):
     track = toy_track(robots["mgr"], 10)
@@ -130,3 +150,86 @@ def test_runs_that_cannot_be_predicted_are_left_out_of_the_summary(robots, exact
 
 def test_rmse_of_nothing_is_not_a_number():
     assert np.isnan(rmse_mm(np.full((2, 3), np.nan), np.zeros((2, 3))))
+
+
+# ---- neighbours
+
+
+class Shy(torch.nn.Module):
+    """Stands in for a dynamics model: every vehicle evades the mean of the others that it knows of."""
+
+    parts = ("command", "elapsed_s", "neighbours")
+
+    def __init__(self, robot):
+        super().__init__()
+        self.robot, self.seen = robot, {}
+
+    def forward(self, situation):
+        for row, elapsed_s in enumerate(situation.elapsed_s.numpy()):
+            self.seen.setdefault(float(elapsed_s), []).append(situation.neighbours[row].numpy())
+        away = -0.02 * situation.neighbours.nanmean(dim=1).nan_to_num()
+        return torch.cat([away[:, :2] + situation.command / 50, away[:, 2:]], dim=1)
+
+
+def crowd(robot, late_s, runs=2, steps=8):
+    """Tracks of vehicles that drive noise-free about 150 mm apart, their clocks `late_s` each; runs 60 s apart."""
+    tracks = []
+    for run in range(runs):
+        for vehicle, late in enumerate(late_s):
+            track = toy_track(robot, steps, seed=10 * run + vehicle, run=f"run-{run}", vehicle=str(vehicle))
+            home = np.array([400.0 + 150 * vehicle, 500.0, 0.4 * vehicle])
+            tracks.append(
+                dataclasses.replace(track, time_s=track.time_s + 60 * run + late, pose=np.tile(home, (steps + 1, 1)))
+            )
+    return tracks
+
+
+def recorded(robot, tracks):
+    header = Header(robot=robot.name, period_s=robot.period_s, arena_mm=robot.arena_mm, source="made up")
+    return from_recording(Recording(robot, header, tuple(tracks)))[0]
+
+
+@pytest.mark.parametrize("late_s", [(0.0, 0.0, 0.0), (0.0, 0.1, -0.2), (0.0, 0.0, 0.22)])
+def test_predicted_neighbours_are_those_that_a_recording_of_the_prediction_has(robots, late_s):
+    """Also where the vehicles' clocks differ: the first rows of the early ones have nobody before them."""
+    shy = Shy(robots["mgr"])
+    tracks = crowd(robots["mgr"], late_s)
+    runs = open_loop(shy, tracks)
+    assert max(np.abs(run.predicted[-1, :2] - run.track.pose[-1, :2]).max() for run in runs) > 5
+    transitions = recorded(robots["mgr"], [dataclasses.replace(run.track, pose=run.predicted) for run in runs])
+    assert len(transitions) == sum(len(track) - 1 for track in tracks)
+    for elapsed_s, neighbours in shy.seen.items():
+        rows = np.isclose(transitions.time_s, elapsed_s)
+        np.testing.assert_allclose(neighbours, transitions.neighbours[rows], atol=1e-3)
+    assert sum(map(len, shy.seen.values())) == len(transitions)
+
+
+def test_who_is_not_predicted_is_where_it_was_measured_and_who_is_unknown_is_nowhere(robots):
+    """The second vehicle has no command from row 4 on and is last seen in row 6."""
+    first, second = crowd(robots["mgr"], (0.0, 0.0), runs=1)
+    second.command[4:] = np.nan
+    second.pose[:] += np.arange(9)[:, None] * [3.0, 0.0, 0.0]
+    second.pose[7:] = np.nan
+    shy = Shy(robots["mgr"])
+    ahead, aside = open_loop(shy, [first, second])
+    shown = [
+        compose(ahead.predicted[step].astype(float), shy.seen[step * 0.5][0][0].astype(float)) for step in range(8)
+    ]
+    np.testing.assert_allclose(shown[:5], aside.predicted[:5], atol=1e-3)
+    assert not np.allclose(aside.predicted[1:5], second.pose[1:5], atol=1)
+    np.testing.assert_allclose(shown[5:7], second.pose[5:7], atol=1e-3)
+    assert np.isnan(shown[7]).all()
+
+
+def test_vehicles_of_other_runs_are_not_seen(robots):
+    shy = Shy(robots["mgr"])
+    tracks = [
+        dataclasses.replace(track, run=f"run-{index}") for index, track in enumerate(crowd(robots["mgr"], (0, 0)))
+    ]
+    runs = open_loop(shy, tracks)
+    assert {neighbours.shape for seen in shy.seen.values() for neighbours in seen} == {(0, 3)}
+    for run, track in zip(runs, tracks, strict=True):
+        moved = np.diff(run.predicted, axis=0)
+        np.testing.assert_allclose(
+            np.linalg.norm(moved[:, :2], axis=1), np.linalg.norm(track.command[:-1] / 50, axis=1), atol=1e-3
+        )

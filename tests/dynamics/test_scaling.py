@@ -3,8 +3,9 @@ import pytest
 import torch
 from toy import toy_transitions
 
-from swarmtwin.dynamics.scaling import Encoding, Scaling
+from swarmtwin.dynamics.scaling import INPUT_ORDER, Encoding, Scaling
 from swarmtwin.dynamics.situation import ALL_PARTS, Situation
+from swarmtwin.errors import UserError
 
 
 @pytest.mark.parametrize("method", ["unit_range", "standard", "physical"])
@@ -61,6 +62,50 @@ def test_a_missing_previous_command_is_taken_for_the_usual_one(robots):
     inputs = encoding(situation)
     assert inputs.isfinite().all()
     torch.testing.assert_close(inputs[:, 2:][missing], torch.zeros(int(missing.sum())), rtol=0, atol=1e-5)
+
+
+def test_a_missing_earlier_command_is_taken_for_the_usual_one(robots):
+    encoding = Encoding(robots["mgr"], ("command", "earlier_command"), "physical")
+    situation = Situation.from_transitions(toy_transitions(robots["mgr"], 500))
+    encoding.learn(situation)
+    missing = situation.earlier_command.isnan().any(dim=1)
+    assert int(missing.sum()) == 2 * 10
+    inputs = encoding(situation)
+    assert torch.equal(inputs[~missing, 2:], situation.earlier_command[~missing])
+    usual = situation.earlier_command[~missing].mean(dim=0)
+    torch.testing.assert_close(inputs[missing, 2:], usual.expand(20, 2), rtol=0, atol=1e-3)
+
+
+def test_only_an_encoding_that_takes_the_earlier_command_keeps_the_usual_one(robots):
+    """Else weights saved by an earlier version would not load."""
+    kept = {"usual_previous_command", "scaling.offset", "scaling.scale"}
+    without, taking = (
+        Encoding(robots["mgr"], ("command", *parts), "standard") for parts in (("previous_command",), INPUT_ORDER)
+    )
+    assert set(without.state_dict()) == kept
+    assert set(taking.state_dict()) == {*kept, "usual_earlier_command"}
+
+
+def test_neighbours_are_refused_except_by_an_encoding_that_takes_them(robots):
+    class Counting(Encoding):
+        """Takes neighbours as how many there are."""
+
+        order = ("command", "neighbours")
+
+        def _part_columns(self, part, values):
+            if part == "neighbours":
+                return values[..., 0].isfinite().sum(dim=1, keepdim=True)
+            return super()._part_columns(part, values)
+
+    parts = ("command", "neighbours")
+    with pytest.raises(UserError) as refused:
+        Encoding(robots["mgr"], parts, "physical")
+    assert str(refused.value) == "no network takes neighbours yet: take it out of model.situation"
+    neighbours = torch.zeros(2, 3, 3)
+    neighbours[1, 1:] = torch.nan
+    situation = Situation(command=torch.tensor([[4.0, 5.0], [6.0, 7.0]]), neighbours=neighbours)
+    assert Counting(robots["mgr"], parts, "physical")(situation).tolist() == [[4, 5, 3], [6, 7, 1]]
+    assert situation.only(("command",)).neighbours is None
 
 
 def test_situations_are_taken_by_index_and_type(robots):

@@ -219,10 +219,11 @@ def test_predictions_do_not_depend_on_the_unit_of_the_command(transitions):
     np.testing.assert_allclose(one, ten, atol=1e-3)
 
 
-def test_what_depends_on_the_previous_command_is_learned_by_a_model_that_asks_for_it(transitions):
-    before = np.nan_to_num(transitions.previous_command)
+@pytest.mark.parametrize("part", ["previous_command", "earlier_command"])
+def test_what_depends_on_a_command_before_is_learned_by_a_model_that_asks_for_it(transitions, part):
+    before = np.nan_to_num(getattr(transitions, part))
     lagging = dataclasses.replace(transitions, displacement=exact_displacement(transitions.command + before))
-    asking = config(situation=("command", "previous_command"), steps=300)
+    asking = config(situation=("command", part), steps=300)
     errors = [
         train(lagging, chosen, recipe(batch_size=128), [0]).best.history[-1].validation_position_mm
         for chosen in (asking, config(steps=300))

@@ -58,12 +58,16 @@ def toy_transitions(robot, count, noise=(0.0, 0.0, 0.0), seed=0, steps=50, mean=
     run = np.arange(count) // steps
     previous = np.roll(command, 1, axis=0)
     previous[np.arange(count) % steps == 0] = np.nan
+    earlier = np.roll(previous, 1, axis=0)
+    earlier[np.arange(count) % steps == 0] = np.nan
     return Transitions(
         robot=robot,
         command=command,
         previous_command=previous,
+        earlier_command=earlier,
         pose=np.column_stack([random.uniform(low, high, (count, 2)), random.uniform(-np.pi, np.pi, count)]),
         displacement=mean(command) + random.normal(0, 1, (count, 3)) * noise,
+        neighbours=np.empty((count, 0, 3)),
         time_s=np.arange(count) * robot.period_s,
         duration_s=np.full(count, robot.period_s),
         run=run,

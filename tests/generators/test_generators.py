@@ -157,7 +157,7 @@ def test_synthetic_transitions_hold_what_was_generated_and_nothing_else(trained,
     assert len(transitions.part("test")) == 0
     assert transitions.runs[0] == "synthetic-00001"
     assert transitions.vehicles == ("synthetic",)
-    for name in ("previous_command", "pose", "time_s"):
+    for name in ("previous_command", "earlier_command", "pose", "time_s"):
         assert np.isnan(getattr(transitions, name)).all(), name
     for run in range(len(transitions.runs)):
         assert len(set(transitions.split[transitions.run == run])) == 1

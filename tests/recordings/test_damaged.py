@@ -37,12 +37,13 @@ def clean_parquet(robots, tmp_path_factory):
 
 
 def by_key(transitions):
-    """Everything known of each transition, by run, vehicle and time: its values, and the previous command."""
+    """Everything known of each transition, by run, vehicle and time: its values, and the commands before."""
     values = np.column_stack([transitions.command, transitions.pose, transitions.displacement, transitions.duration_s])
     runs = [transitions.runs[index] for index in transitions.run]
     vehicles = [transitions.vehicles[index] for index in transitions.vehicle]
     keys = zip(runs, vehicles, transitions.time_s.tolist(), strict=True)
-    return dict(zip(keys, zip(values, transitions.previous_command, strict=True), strict=True))
+    before = np.stack([transitions.previous_command, transitions.earlier_command], axis=1)
+    return dict(zip(keys, zip(values, before, strict=True), strict=True))
 
 
 def attempt(folder, robot):
@@ -73,10 +74,11 @@ def assert_refused_or_true(clean, damages):
     found = by_key(transitions)
     touched = {f"run_{damage.run:05d}" for damage in damages if damage.run is not None}
     assert {key for key in clean.transitions if key[0] not in touched} <= set(found)
-    for key, (values, previous_command) in found.items():
-        true_values, true_previous = clean.transitions[key]
+    for key, (values, before) in found.items():
+        true_values, true_before = clean.transitions[key]
         assert np.array_equal(values, true_values), key
-        assert np.isnan(previous_command).all() or np.array_equal(previous_command, true_previous), key
+        for command, true_command in zip(before, true_before, strict=True):
+            assert np.isnan(command).all() or np.array_equal(command, true_command), key
     assert counts.considered == counts.kept + sum(counts.dropped.values())
     assert counts.kept == len(transitions)
 

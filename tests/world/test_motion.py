@@ -4,9 +4,12 @@ import torch
 from play import dynamics_of, robot_named, task_named
 
 from swarmtwin.dynamics.registry import model_names
+from swarmtwin.dynamics.scaling import INPUT_ORDER
 from swarmtwin.dynamics.situation import ALL_PARTS, Situation
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import compose
+from swarmtwin.geometry import compose, wrap_angle
+from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.transitions import from_recording
 from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.world import World
 
@@ -66,6 +69,34 @@ def test_a_model_is_told_the_pose_the_command_before_and_the_time():
     assert after.duration_s.tolist() == [0.5] * 4
 
 
+def test_a_model_is_told_of_the_vehicles_of_the_same_world_as_a_recording_of_them_would_tell():
+    robot = robot_named("mgr")
+    witness = Witness(robot, [10.0, -4.0, 0.1])
+    motion = SimulatedMotion(witness, 2, 3)
+    poses = [np.random.default_rng(0).uniform(400, 600, (2, 3, 3))]
+    poses[0][..., 2] /= 100
+    motion.place(np.arange(2), poses[0])
+    poses[0][..., 2] = wrap_angle(poses[0][..., 2])
+    poses += [motion.move(np.zeros((2, 3, 2))) for _ in range(4)]
+    time_s, command = robot.period_s * np.arange(5), np.zeros((5, 2))
+    tracks = [
+        Track(f"run-{world}", str(vehicle), time_s, command, np.array([pose[world, vehicle] for pose in poses]))
+        for world in range(2)
+        for vehicle in range(3)
+    ]
+    header = Header(robot=robot.name, period_s=robot.period_s, arena_mm=robot.arena_mm, source="simulated")
+    recorded = from_recording(Recording(robot, header, tuple(tracks)))[0].neighbours.reshape(6, 4, 2, 3)
+    seen = torch.stack([situation.neighbours for situation in witness.seen], dim=1).numpy()
+    assert np.isfinite(recorded).all()
+    assert recorded == pytest.approx(seen, abs=1e-3)
+
+
+def test_a_vehicle_alone_in_its_world_has_no_neighbours():
+    witness = Witness(robot_named("mgr"), [10.0, 0.0, 0.0])
+    SimulatedMotion(witness, 3, 1).move(np.zeros((3, 1, 2)))
+    assert witness.seen[0].neighbours.shape == (3, 0, 3)
+
+
 def test_placed_vehicles_have_no_past_and_the_others_keep_theirs():
     witness = Witness(robot_named("mgr"), [10.0, 0.0, 0.0])
     motion = at_start(witness)
@@ -77,6 +108,39 @@ def test_placed_vehicles_have_no_past_and_the_others_keep_theirs():
     assert situation.previous_command[2:].isnan().all()
     assert situation.elapsed_s.tolist() == [0.5, 0.5, 0.0, 0.0]
     assert pose[1] == pytest.approx(compose(START[1], np.array([(10.0, 0, 0)] * 2)))
+
+
+def test_a_model_is_told_the_command_before_the_previous_one():
+    witness = Witness(robot_named("mgr"), [10.0, 0.0, 0.0])
+    motion = at_start(witness)
+    drives = np.random.default_rng(2).integers(-100, 100, (5, 2, 2, 2)).astype(float)
+    for step, drive in enumerate(drives):
+        if step == 3:
+            motion.place(np.array([1]), START[1:])
+        motion.move(drive)
+    earlier = torch.stack([situation.earlier_command for situation in witness.seen]).reshape(5, 2, 2, 2)
+    assert earlier[:2].isnan().all()
+    assert np.array_equal(earlier[2:, 0].numpy(), drives[:3, 0])
+    assert np.array_equal(earlier[2, 1].numpy(), drives[0, 1])
+    assert earlier[3:, 1].isnan().all()
+
+
+def test_a_state_keeps_the_earlier_command_and_an_old_state_has_none():
+    witness = Witness(robot_named("mgr"), [10.0, 0.0, 0.0])
+    motion = at_start(witness)
+    for speed in (30.0, 50.0):
+        motion.move(np.full((2, 2, 2), speed))
+    state = motion.state()
+    motion.move(np.full((2, 2, 2), 70.0))
+    for old in (False, True):
+        other = SimulatedMotion(witness, 2, 2)
+        other.restore({name: value for name, value in state.items() if not old or name != "earlier_command"})
+        other.move(np.full((2, 2, 2), 70.0))
+        other.move(np.full((2, 2, 2), 90.0))
+    known, after, unknown, after_old = (situation.earlier_command for situation in witness.seen[-4:])
+    assert known.tolist() == [[30.0, 30.0]] * 4
+    assert unknown.isnan().all()
+    assert after.tolist() == after_old.tolist() == [[50.0, 50.0]] * 4
 
 
 def test_straight_ahead_is_along_the_heading():
@@ -110,9 +174,9 @@ def test_a_broken_model_is_refused():
         at_start(dynamics).move(np.zeros((2, 2, 2)))
 
 
-def test_a_model_of_all_parts_plays_a_task_and_draws_no_random_number():
+def test_a_model_of_all_that_networks_take_plays_a_task_and_draws_no_random_number():
     task = task_named("collective")
-    dynamics = dynamics_of(task.robot, "mlp", ALL_PARTS)
+    dynamics = dynamics_of(task.robot, "mlp", INPUT_ORDER)
     before = torch.random.get_rng_state()
     world = World(task, SimulatedMotion(dynamics, 2, 5), 2, 0)
     for _ in range(3):

@@ -216,7 +216,7 @@ def test_a_model_of_the_robot_with_another_period_is_refused():
 
 def test_a_checkpoint_continues_with_the_same_numbers():
     task = task_named("collective", steps=45)
-    dynamics = dynamics_of(task.robot, "mlp", ("command", "previous_command", "elapsed_s"))
+    dynamics = dynamics_of(task.robot, "mlp", ("command", "previous_command", "earlier_command", "elapsed_s"))
 
     def play(world, drives):
         for drive in drives:

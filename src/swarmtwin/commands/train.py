@@ -20,15 +20,20 @@ from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
 from swarmtwin.dynamics.recipe import Recipe
 from swarmtwin.dynamics.registry import model_config
-from swarmtwin.dynamics.store import save_dynamics
+from swarmtwin.dynamics.store import save_dynamics, save_evidence
 from swarmtwin.dynamics.training import Trained, train
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking import TrackedRun, tracked_run
-from swarmtwin.transitions import Preparation, SplitOptions, Transitions, mix
+from swarmtwin.transitions import Preparation, SplitOptions, Transitions, held_out, mix
+from swarmtwin.transitions.transitions import Split
 
 CHECKPOINTS = "checkpoints"
 FEWEST_SPARE_SEEDS = 4
+MOST_EVIDENCE = 20_000
+UNFITTED: tuple[Split, ...] = ("validation", "test")
+UNFITTED_BY_GENERATOR: tuple[Split, ...] = ("test",)
+NONE: tuple[Split, ...] = ()
 
 
 class Options(StrictModel):
@@ -53,11 +58,14 @@ class Options(StrictModel):
 def run(options: Options) -> None:
     """Train, save the model's folder, track the run and register the model.
 
+    Beside the model lies its evidence: real transitions that it was not fitted to, against which later sessions can be
+    diagnosed (`load_evidence`). A mixture's is the test split alone, since its generator may have seen the rest.
+
     Raises:
         UserError: no usable transitions, an unknown model, every seed dead, or the output is taken.
     """
     config = model_config(options.model, "model")
-    transitions, preparation, sources = _transitions(options)
+    transitions, preparation, evidence, sources = _transitions(options)
     name = f"{options.robot.name}-{config.name}"
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
@@ -68,6 +76,8 @@ def run(options: Options) -> None:
             trained = _train(options, config, transitions, folder / CHECKPOINTS)
             provenance = _provenance(trained, preparation)
             _save(folder, trained, provenance)
+            if len(evidence):
+                save_evidence(folder, evidence)
         _track(tracked, trained, provenance, time.monotonic() - started)
         kept = tracked.folder(output, "model")
         registered = "not registered"
@@ -79,15 +89,18 @@ def run(options: Options) -> None:
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
 
 
-def _transitions(options: Options) -> tuple[Transitions, Preparation, list[Path]]:
-    """Return what to train on, how it came about, and the folders it comes from."""
+def _transitions(options: Options) -> tuple[Transitions, Preparation, Transitions, list[Path]]:
+    """Return what to train on, how it came about, the evidence to keep, and the folders that all of it comes from."""
     transitions, preparation, source = training_transitions(
         options.robot, options.transitions, options.recording, options.vehicles, options.split
     )
     if options.synthetic is None:
-        return transitions, preparation, [source]
+        evidence = held_out(transitions, UNFITTED if preparation.origin == "real" else NONE, MOST_EVIDENCE)
+        return transitions, preparation, evidence, [source]
     synthetic = prepared_transitions(options.synthetic, options.robot)
-    return *mix((transitions, preparation), synthetic, options.real_share), [source, options.synthetic]
+    unseen = set(synthetic[1].learned) <= set(preparation.learned)  # else its generator may have seen any run
+    evidence = held_out(transitions, UNFITTED_BY_GENERATOR if unseen else NONE, MOST_EVIDENCE)
+    return *mix((transitions, preparation), synthetic, options.real_share), evidence, [source, options.synthetic]
 
 
 def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:

@@ -9,8 +9,9 @@ import torch
 from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.situation import Situation
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import compose
+from swarmtwin.geometry import compose, displacement_between
 from swarmtwin.recordings.recording import Track
+from swarmtwin.transitions.neighbours import Moments, others_of
 
 
 class OpenLoop(NamedTuple):
@@ -44,21 +45,29 @@ def rmse_mm(predicted: np.ndarray, measured: np.ndarray) -> float:
 
 
 def open_loop(dynamics: Dynamics, tracks: Sequence[Track]) -> list[OpenLoop]:
-    """Predict whole runs, all at once; pose and previous command come from the prediction itself.
+    """Predict whole runs, all at once; poses and commands before come from the prediction itself.
 
     A run is predicted from its first known pose until a command is missing or the next row is further away than the
-    robot's `longest_gap_s`.
+    robot's `longest_gap_s`. A model that looks at neighbours sees those tracks of the same run that are among `tracks`
+    where they are predicted to be, and before and after their prediction where they were measured.
     """
-    rows = [_predictable_rows(track, dynamics.robot.longest_gap_s) for track in tracks]
-    drives = _Drives.of(tracks, rows, len(dynamics.robot.command))
-    pose = np.full((len(tracks), drives.longest + 1, 3), np.nan)
-    pose[:, 0] = drives.first_pose
-    for step in range(drives.longest):
-        moving = drives.steps > step
+    if not tracks:
+        return []
+    parts = [_predictable_rows(track, dynamics.robot.longest_gap_s) for track in tracks]
+    drives = _Drives.of(tracks, parts)
+    sight = drives.sight() if "neighbours" in dynamics.parts else None
+    pose = np.concatenate([track.pose for track in tracks])
+    for rows in drives.turns(in_order_of_time=sight is not None):
+        situation = drives.situation(rows, pose)
+        if sight is not None:
+            others = sight[rows].poses(pose, dynamics.robot)
+            situation["neighbours"] = displacement_between(pose[rows][:, None], others)
+        asked = {part: torch.as_tensor(situation[part], dtype=torch.float32) for part in dynamics.parts}
         with torch.inference_mode():
-            displacement = dynamics(drives.situation(dynamics, moving, step, pose[moving, step]))
-        pose[moving, step + 1] = compose(pose[moving, step], displacement.numpy().astype(float))
-    return [_compared(*run) for run in zip(tracks, rows, pose, strict=True)]
+            displacement = dynamics(Situation(**asked))
+        pose[rows + 1] = compose(pose[rows], displacement.numpy().astype(float))
+    poses = np.split(pose, np.cumsum([len(track) for track in tracks])[:-1])
+    return [_compared(*run) for run in zip(tracks, parts, poses, strict=True)]
 
 
 def summary(runs: Sequence[OpenLoop]) -> OpenLoopFigure:
@@ -74,47 +83,84 @@ def summary(runs: Sequence[OpenLoop]) -> OpenLoopFigure:
 
 
 class _Drives(NamedTuple):
-    """The predictable parts of R tracks side by side, filled up with NaN after each one's last step.
+    """The R rows of all tracks, one track after the other.
 
     Attributes:
-        steps: (R,) steps to predict.
-        first_pose: (R, 3).
-        command: (R, S + 1, m) the command of each step, a row of NaN before the first.
-        time_s: (R, S + 1) session time at the start of each step and at the end of the last.
+        runs: the run of each track.
+        track: (R,) index of the track.
+        time_s: (R,).
+        command: (R, m).
+        previous_command: (R, m) that of the step before; a row of NaN where none was predicted.
+        earlier_command: (R, m) that of the step before the previous one; likewise.
+        steps: (S,) the rows from which a step is predicted.
+        number: (S,) counts the steps of each track, from 0.
     """
 
-    steps: np.ndarray
-    first_pose: np.ndarray
-    command: np.ndarray
+    runs: tuple[str, ...]
+    track: np.ndarray
     time_s: np.ndarray
+    command: np.ndarray
+    previous_command: np.ndarray
+    earlier_command: np.ndarray
+    steps: np.ndarray
+    number: np.ndarray
 
     @classmethod
-    def of(cls, tracks: Sequence[Track], rows: Sequence[range], columns: int) -> "_Drives":
-        steps = np.array([len(part) for part in rows], dtype=int)
-        longest = steps.max(initial=0)
-        first_pose = np.full((len(tracks), 3), np.nan)
-        command = np.full((len(tracks), longest + 1, columns), np.nan)
-        time_s = np.full((len(tracks), longest + 1), np.nan)
-        for index, (track, part) in enumerate(zip(tracks, rows, strict=True)):
-            if part:
-                first_pose[index] = track.pose[part.start]
-                command[index, 1 : len(part) + 1] = track.command[part.start : part.stop]
-                time_s[index, : len(part) + 1] = track.time_s[part.start : part.stop + 1]
-        return cls(steps, first_pose, command, time_s)
+    def of(cls, tracks: Sequence[Track], parts: Sequence[range]) -> "_Drives":
+        lengths = [len(track) for track in tracks]
+        first = np.cumsum([0, *lengths])
+        steps = np.concatenate(
+            [np.arange(part.start, part.stop) + row for part, row in zip(parts, first, strict=False)]
+        )
+        command = np.concatenate([track.command for track in tracks])
+        previous_command, earlier_command = np.full_like(command, np.nan), np.full_like(command, np.nan)
+        previous_command[steps + 1] = command[steps]
+        earlier_command[steps + 1] = previous_command[steps]
+        return cls(
+            runs=tuple(track.run for track in tracks),
+            track=np.repeat(np.arange(len(tracks)), lengths),
+            time_s=np.concatenate([track.time_s for track in tracks]),
+            command=command,
+            previous_command=previous_command,
+            earlier_command=earlier_command,
+            steps=steps,
+            number=np.concatenate([np.arange(len(part)) for part in parts]),
+        )
 
-    @property
-    def longest(self) -> int:
-        return self.command.shape[1] - 1
+    def turns(self, in_order_of_time: bool) -> list[np.ndarray]:
+        """Return the rows to predict from, one batch after the other, at most one row of each track in a batch.
 
-    def situation(self, dynamics: Dynamics, moving: np.ndarray, step: int, pose: np.ndarray) -> Situation:
-        parts = {
-            "command": self.command[moving, step + 1],
-            "previous_command": self.command[moving, step],
-            "pose": pose,
-            "elapsed_s": self.time_s[moving, step],
-            "duration_s": self.time_s[moving, step + 1] - self.time_s[moving, step],
+        In order of time, all that begins earlier in a run is in an earlier batch, and what begins at one moment is in
+        the same; otherwise the n-th batch has the n-th step of every track.
+        """
+        turn = self._moments() if in_order_of_time else self.number
+        order = np.argsort(turn, kind="stable")
+        return np.split(self.steps[order], np.flatnonzero(np.diff(turn[order])) + 1) if len(order) else []
+
+    def _moments(self) -> np.ndarray:
+        """Return (S,) how many moments, at which steps begin, come before each step in its run."""
+        names = {name: index for index, name in enumerate(dict.fromkeys(self.runs))}
+        run = np.array([names[name] for name in self.runs])[self.track[self.steps]]
+        moments, moment = np.unique(np.column_stack([run, self.time_s[self.steps]]), axis=0, return_inverse=True)
+        before: np.ndarray = moment - np.searchsorted(moments[:, 0], run)
+        return before
+
+    def sight(self) -> Moments:
+        """Return (R, K) where in the others' tracks the time of each row lies."""
+        return Moments.of(
+            self.track, self.time_s, np.arange(len(self.track))[:, None], others_of(self.runs)[self.track]
+        )
+
+    def situation(self, rows: np.ndarray, pose: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the situations at `rows`, neighbours left out, given the pose of each row (R, 3)."""
+        return {
+            "command": self.command[rows],
+            "previous_command": self.previous_command[rows],
+            "earlier_command": self.earlier_command[rows],
+            "pose": pose[rows],
+            "elapsed_s": self.time_s[rows],
+            "duration_s": self.time_s[rows + 1] - self.time_s[rows],
         }
-        return Situation(**{part: torch.as_tensor(parts[part], dtype=torch.float32) for part in dynamics.parts})
 
 
 def _predictable_rows(track: Track, longest_gap_s: float) -> range:
@@ -128,10 +174,10 @@ def _predictable_rows(track: Track, longest_gap_s: float) -> range:
     return range(start, start + int(obstacles[0]) if len(obstacles) else len(track) - 1)
 
 
-def _compared(track: Track, rows: range, pose: np.ndarray) -> OpenLoop:
+def _compared(track: Track, part: range, pose: np.ndarray) -> OpenLoop:
     predicted = np.full((len(track), 3), np.nan)
-    if not rows:
+    if not part:
         return OpenLoop(track, predicted, float("nan"))
-    predicted[rows.start : rows.stop + 1] = pose[: len(rows) + 1]
-    after = slice(rows.start + 1, rows.stop + 1)
+    predicted[part.start : part.stop + 1] = pose[part.start : part.stop + 1]
+    after = slice(part.start + 1, part.stop + 1)
     return OpenLoop(track, predicted, rmse_mm(predicted[after], track.pose[after]))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import Self, get_args
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 from swarmtwin.robot import SituationPart
 from swarmtwin.transitions import Transitions
 
-ALL_PARTS: tuple[SituationPart, ...] = ("command", "previous_command", "pose", "elapsed_s", "duration_s")
+ALL_PARTS: tuple[SituationPart, ...] = get_args(SituationPart)
 
 
 @dataclass(frozen=True)
@@ -21,16 +21,21 @@ class Situation:
     Attributes:
         command: (N, m) held over the period, in the robot's units.
         previous_command: (N, m) held over the period before; a row of NaN where there was none.
+        earlier_command: (N, m) held over the period before that; a row of NaN where there was none or no previous one.
         pose: (N, 3) x_mm, y_mm, heading_rad in the arena's frame.
         elapsed_s: (N,) time since the session began.
         duration_s: (N,) length of the period.
+        neighbours: (N, K, 3) forward_mm, left_mm, turn_rad to the other vehicles in the vehicle's own frame, in any
+            order; a row of NaN where there are fewer than K or a pose is unknown.
     """
 
     command: Tensor
     previous_command: Tensor | None = None
+    earlier_command: Tensor | None = None
     pose: Tensor | None = None
     elapsed_s: Tensor | None = None
     duration_s: Tensor | None = None
+    neighbours: Tensor | None = None
 
     @classmethod
     def from_transitions(
@@ -43,9 +48,11 @@ class Situation:
         measured: dict[SituationPart, np.ndarray] = {
             "command": transitions.command,
             "previous_command": transitions.previous_command,
+            "earlier_command": transitions.earlier_command,
             "pose": transitions.pose,
             "elapsed_s": transitions.time_s,
             "duration_s": transitions.duration_s,
+            "neighbours": transitions.neighbours,
         }
         return cls(**{part: torch.as_tensor(measured[part], dtype=dtype) for part in parts})
 

@@ -1,4 +1,9 @@
-"""A dynamics model as a folder: a description to read, and weights that nothing executable can hide in."""
+"""A dynamics model as a folder: a description to read, and weights that nothing executable can hide in.
+
+Beside them may lie evidence: measured transitions that the model was not fitted to. What a simulation gets wrong on a
+later session is a gap only where it did not get the same wrong on the day it was learned; a diagnosis (DESIGN section
+7) takes that from the evidence, so that it needs nothing but the model's folder and the session.
+"""
 
 from pathlib import Path
 from typing import Any, Literal
@@ -11,8 +16,10 @@ from swarmtwin.dynamics.registry import model_config
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
 from swarmtwin.robot import Robot, SituationPart, StrictModel
+from swarmtwin.transitions import Transitions, read_transitions, write_transitions
 
 DESCRIPTION = "model.yaml"
+EVIDENCE = "evidence.parquet"
 REMEDY = "train the model anew"
 
 
@@ -75,3 +82,25 @@ def load_dynamics(folder: Path) -> Dynamics:
         return Dynamics.with_weights(description.robot, config, trained)
     except RuntimeError:  # names or shapes differ
         raise weights.not_belonging(folder, DESCRIPTION, REMEDY) from None
+
+
+def save_evidence(folder: Path, transitions: Transitions) -> None:
+    """Write real transitions that the model in `folder` was not fitted to, for diagnosing later sessions.
+
+    They say how large the model's own errors are, and what they depend on, in the recording that it was learned from.
+    """
+    write_transitions(folder / EVIDENCE, transitions)
+
+
+def load_evidence(folder: Path) -> Transitions | None:
+    """Read the real transitions, from the recording it was learned from, that the model in `folder` was not fitted to.
+
+    Returns:
+        Those of the splits "validation" and "test", whole runs; None where there are none, as with models of synthetic
+        transitions alone and of earlier versions.
+
+    Raises:
+        UserError: the file is damaged.
+    """
+    file = Path(folder) / EVIDENCE
+    return read_transitions(file, REMEDY) if file.is_file() else None

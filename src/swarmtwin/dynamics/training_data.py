@@ -13,6 +13,8 @@ from swarmtwin.errors import UserError
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, Robot, SituationPart
 from swarmtwin.transitions.transitions import SPLITS, Split, Transitions
 
+MAY_BE_UNKNOWN: tuple[SituationPart, ...] = ("previous_command", "earlier_command", "neighbours")
+
 
 class TrainingData(NamedTuple):
     """Measured situations and displacements (N, 3), float32, to learn from and to choose by."""
@@ -32,7 +34,7 @@ class TrainingData(NamedTuple):
 
 
 def training_data(transitions: Transitions, parts: Sequence[SituationPart]) -> TrainingData:
-    """Turn the training and validation splits into tensors; the previous command alone may be NaN.
+    """Turn the training and validation splits into tensors; only commands before and neighbours may be NaN.
 
     Raises:
         UserError: a split is empty, a value is not finite, or a part of the situation is not there at all.
@@ -60,12 +62,12 @@ def _check_present(situation: Situation) -> None:
         if part is not None and len(part) and part.isnan().all():
             raise UserError(
                 f"the model looks at {name}, which these transitions do not hold; synthetic ones hold what their "
-                "generator learned: take it out of model.situation, or train on real transitions"
+                "generator learned: take it out of model.situation, or train on real transitions, prepared anew"
             )
 
 
 def _check_finite(situation: Situation, displacement: torch.Tensor) -> None:
-    parts = {name: part for name, part in vars(situation).items() if part is not None and name != "previous_command"}
+    parts = {name: part for name, part in vars(situation).items() if part is not None and name not in MAY_BE_UNKNOWN}
     parts |= dict(zip(DISPLACEMENT_COLUMNS, displacement.T, strict=True))
     for name, part in parts.items():
         if count := int((~part.isfinite()).reshape(len(part), -1).any(dim=1).sum()):

@@ -55,8 +55,8 @@ def draw_believable(generator: Generator, count: int, seed: int) -> Drawn:
 def synthetic_transitions(robot: Robot, rows: np.ndarray, validation: int) -> Transitions:
     """Turn rows (N, width) into transitions, the last `validation` of them for the validation split.
 
-    Rows have nothing to do with each other, so there is no previous command and no time (NaN); a run is merely a
-    hundred of them.
+    Rows have nothing to do with each other, so there are no commands before and no time (NaN), and there are no
+    neighbours; a run is merely a hundred of them.
     """
     row = Columns.of(robot).split(rows)
     count = len(rows)
@@ -68,8 +68,10 @@ def synthetic_transitions(robot: Robot, rows: np.ndarray, validation: int) -> Tr
         robot=robot,
         command=row.command,
         previous_command=np.full_like(row.command, np.nan),
+        earlier_command=np.full_like(row.command, np.nan),
         pose=row.pose,
         displacement=row.displacement,
+        neighbours=np.empty((count, 0, 3)),
         time_s=np.full(count, np.nan),
         duration_s=np.full(count, robot.period_s),
         run=run,

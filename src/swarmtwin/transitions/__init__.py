@@ -11,8 +11,9 @@ from swarmtwin.transitions.preparation import (
     save_transitions,
 )
 from swarmtwin.transitions.scaling import ColumnScaling, Scaling
-from swarmtwin.transitions.selection import first_runs
+from swarmtwin.transitions.selection import first_runs, held_out
 from swarmtwin.transitions.splitting import Fractions, SplitOptions, split_by_run
+from swarmtwin.transitions.storage import read_transitions, write_transitions
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 __all__ = [
@@ -28,9 +29,12 @@ __all__ = [
     "Transitions",
     "first_runs",
     "from_recording",
+    "held_out",
     "load_preparation",
     "load_transitions",
     "mix",
+    "read_transitions",
     "save_transitions",
     "split_by_run",
+    "write_transitions",
 ]

@@ -11,7 +11,8 @@ from swarmtwin.geometry import displacement_between
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.transitions.markers import doubtful_rows, teleports
-from swarmtwin.transitions.rows import Rows
+from swarmtwin.transitions.neighbours import neighbours_at, others_of
+from swarmtwin.transitions.rows import TIME_TOLERANCE_S, Rows
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 # Why a transition is dropped, in the order of the checks: each is counted under the first that applies.
@@ -26,9 +27,6 @@ REASONS = {
     "outside_arena": "start and end both outside the arena",
     "outlier": "beyond believable motion",
 }
-
-# Times are written to 1 ms, so limits are compared with less than that to spare.
-TIME_TOLERANCE_S = 1e-6
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +62,8 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
     - outlier: more than `robot.largest_displacement` in proportion to the time, as in the authors' preprocessing.
     - teleport and doubtful marker: see `markers`.
 
+    Neighbours are seen in all rows of the other vehicles, also in those that make no transition: see `neighbours`.
+
     Raises:
         UserError: nothing is left.
     """
@@ -74,19 +74,22 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
         raise UserError(f"recording of robot {robot.name!r}: no vehicle has two rows in one run: record longer runs")
     duration_s = rows.time_s[start + 1] - rows.time_s[start]
     displacement = displacement_between(rows.pose[start], rows.pose[start + 1])
-    reason = _first_reason(rows, start, duration_s, displacement, recording)
+    doubtful = doubtful_rows(rows, robot)
+    reason = _first_reason(rows, start, duration_s, displacement, doubtful, recording)
     kept = reason < 0
     counts = _counts(rows, recording, reason)
     if not kept.any():
         listed = ", ".join(f"{name} {count}" for name, count in counts.dropped.items())
         raise UserError(f"recording of robot {robot.name!r}: no transition is left of {len(start)}, dropped: {listed}")
-    previous_command = _previous_command(rows, robot)[start]
+    previous_command, earlier_command = _commands_before(rows, robot)
     transitions = Transitions(
         robot=robot,
         command=rows.command[start],
-        previous_command=previous_command,
+        previous_command=previous_command[start],
+        earlier_command=earlier_command[start],
         pose=rows.pose[start],
         displacement=displacement,
+        neighbours=_neighbours(rows, start, doubtful, recording),
         time_s=rows.time_s[start],
         duration_s=duration_s,
         run=rows.run[start],
@@ -99,12 +102,16 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
 
 
 def _first_reason(
-    rows: Rows, start: np.ndarray, duration_s: np.ndarray, displacement: np.ndarray, recording: Recording
+    rows: Rows,
+    start: np.ndarray,
+    duration_s: np.ndarray,
+    displacement: np.ndarray,
+    doubtful: np.ndarray,
+    recording: Recording,
 ) -> np.ndarray:
     """Return (P,) the index into `REASONS` of the first that applies to each pair of rows, or −1."""
     robot = recording.robot
     periods = duration_s / robot.period_s
-    doubtful = doubtful_rows(rows, robot)
     outside = _outside(rows.pose, recording)
     applies = {
         "no_command": np.isnan(rows.command[start]).any(axis=1),
@@ -121,14 +128,25 @@ def _first_reason(
     return np.where(stacked.any(axis=0), np.argmax(stacked, axis=0), -1)
 
 
-def _previous_command(rows: Rows, robot: Robot) -> np.ndarray:
-    """Return (R, m) the command of the row before, NaN where it was not held until the row or was not allowed."""
-    previous = np.full_like(rows.command, np.nan)
+def _commands_before(rows: Rows, robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Return the commands (R, m) of the row before and of the one before that.
+
+    NaN where a command was not held until the next row or was not allowed, and before that.
+    """
+    previous, earlier = np.full_like(rows.command, np.nan), np.full_like(rows.command, np.nan)
     start = rows.starts()
     duration_s = rows.time_s[start + 1] - rows.time_s[start]
     held = ~_gap(duration_s, robot) & ~_short(duration_s, robot) & ~_out_of_limits(rows.command, robot)[start]
     previous[start[held] + 1] = rows.command[start[held]]
-    return previous
+    earlier[start[held] + 1] = previous[start[held]]
+    return previous, np.where(np.isnan(previous), np.nan, earlier)
+
+
+def _neighbours(rows: Rows, start: np.ndarray, doubtful: np.ndarray, recording: Recording) -> np.ndarray:
+    """Return (P, K, 3) the relative poses of the other vehicles; one with a doubtful marker is nowhere."""
+    believed = np.where(doubtful[:, None], np.nan, rows.pose)
+    others = others_of([track.run for track in recording.tracks])
+    return neighbours_at(start, rows.track, rows.time_s, believed, others, recording.robot)
 
 
 def _out_of_limits(command: np.ndarray, robot: Robot) -> np.ndarray:

@@ -17,7 +17,7 @@ def mix(real: Prepared, synthetic: Prepared, real_share: float) -> Prepared:
     """Replace real transitions by synthetic ones until `real_share` of them is left; the total stays.
 
     The first whole real runs are kept, in training and validation alike. What synthetic transitions do not hold, such
-    as the command before, is left out of the real ones as well.
+    as the commands before, is left out of the real ones as well.
 
     Raises:
         UserError: the two do not fit, or there are too few synthetic ones.
@@ -72,14 +72,21 @@ def _joined(parts: list[Transitions]) -> Transitions:
     columns: dict[str, Any] = {
         field.name: np.concatenate([getattr(part, field.name) for part in parts])
         for field in dataclasses.fields(Transitions)
-        if isinstance(getattr(parts[0], field.name), np.ndarray)
+        if field.name != "neighbours" and isinstance(getattr(parts[0], field.name), np.ndarray)
     }
-    for name in ("previous_command", "pose", "time_s"):
+    most = max(part.neighbours.shape[1] for part in parts)
+    columns["neighbours"] = np.concatenate([_widened(part.neighbours, most) for part in parts])
+    for name in ("previous_command", "earlier_command", "pose", "time_s", "neighbours"):
         if any(len(part) and np.isnan(getattr(part, name)).all() for part in parts):
             columns[name] = np.full_like(columns[name], np.nan)
     columns["run"] = _renumbered([(part.run, part.runs) for part in parts], runs)
     columns["vehicle"] = _renumbered([(part.vehicle, part.vehicles) for part in parts], vehicles)
     return dataclasses.replace(parts[0], **columns, runs=runs, vehicles=vehicles)
+
+
+def _widened(neighbours: np.ndarray, most: int) -> np.ndarray:
+    """Return neighbours (N, K, 3) as (N, most, 3), filled up with NaN."""
+    return np.pad(neighbours, ((0, 0), (0, most - neighbours.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 def _renumbered(parts: list[tuple[np.ndarray, tuple[str, ...]]], names: tuple[str, ...]) -> np.ndarray:

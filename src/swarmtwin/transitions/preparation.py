@@ -3,26 +3,26 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Literal, Self, TypeVar
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet
 from pydantic import model_validator
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
 from swarmtwin.recordings.faults import fault
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Robot, StrictModel
+from swarmtwin.robot import StrictModel
 from swarmtwin.transitions.extraction import Counts
 from swarmtwin.transitions.scaling import Scaling
 from swarmtwin.transitions.splitting import Fractions
+from swarmtwin.transitions.storage import read_transitions, write_transitions
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 TRANSITIONS_FILE = "transitions.parquet"
 PREPARATION_FILE = "preparation.json"
 SCALING_FILE = "scaling.json"
+REMEDY = "make it again with swarmtwin prepare"
 
 Model = TypeVar("Model", bound=StrictModel)
 Origin = Literal["real", "synthetic", "mixed"]
@@ -139,24 +139,7 @@ def save_preparation(folder: Path, transitions: Transitions, preparation: Prepar
 
 def save_transitions(folder: Path, transitions: Transitions) -> None:
     """Write `transitions.parquet` into an existing `folder`: one row a transition, the robot in the file's metadata."""
-    names = transitions.robot.command_columns
-    columns: dict[str, Any] = {
-        "run": _named(transitions.run, transitions.runs),
-        "vehicle": _named(transitions.vehicle, transitions.vehicles),
-        "split": _named(transitions.split, SPLITS),
-        "time_s": transitions.time_s,
-        "duration_s": transitions.duration_s,
-        **dict(zip(names, transitions.command.T, strict=True)),
-        **dict(zip((f"previous_{name}" for name in names), transitions.previous_command.T, strict=True)),
-        **dict(zip(POSE_COLUMNS, transitions.pose.T, strict=True)),
-        **dict(zip(DISPLACEMENT_COLUMNS, transitions.displacement.T, strict=True)),
-    }
-    metadata = {
-        "robot": transitions.robot.model_dump_json(),
-        "runs": json.dumps(transitions.runs),
-        "vehicles": json.dumps(transitions.vehicles),
-    }
-    pa.parquet.write_table(pa.table(columns, metadata=metadata), folder / TRANSITIONS_FILE)
+    write_transitions(folder / TRANSITIONS_FILE, transitions)
 
 
 def load_transitions(folder: Path) -> Transitions:
@@ -165,29 +148,7 @@ def load_transitions(folder: Path) -> Transitions:
     Raises:
         UserError: there are none, or the file is damaged.
     """
-    file = _existing(folder, TRANSITIONS_FILE)
-    try:
-        table = pa.parquet.read_table(file)
-        metadata = {name.decode(): value for name, value in (table.schema.metadata or {}).items()}
-        robot = Robot.model_validate_json(metadata["robot"])
-        names = robot.command_columns
-        return Transitions(
-            robot=robot,
-            command=_stacked(table, names),
-            previous_command=_stacked(table, tuple(f"previous_{name}" for name in names)),
-            pose=_stacked(table, POSE_COLUMNS),
-            displacement=_stacked(table, DISPLACEMENT_COLUMNS),
-            time_s=table.column("time_s").to_numpy(),
-            duration_s=table.column("duration_s").to_numpy(),
-            run=_index(table, "run", runs := tuple(json.loads(metadata["runs"]))),
-            vehicle=_index(table, "vehicle", vehicles := tuple(json.loads(metadata["vehicles"]))),
-            split=_index(table, "split", SPLITS).astype(np.int8),
-            runs=runs,
-            vehicles=vehicles,
-        )
-    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        what = f"no transitions can be read ({str(error).splitlines()[0]})"
-        raise fault(file, what, "make it again with swarmtwin prepare") from None
+    return read_transitions(_existing(folder, TRANSITIONS_FILE), REMEDY)
 
 
 def load_preparation(folder: Path) -> Preparation:
@@ -213,7 +174,7 @@ def _load_json(folder: Path, name: str, model: type[Model]) -> Model:
     try:
         return model.parse(json.loads(file.read_text()), str(file))
     except ValueError as error:
-        raise fault(file, f"not valid JSON ({error})", "make it again with swarmtwin prepare") from None
+        raise fault(file, f"not valid JSON ({error})", REMEDY) from None
 
 
 def _existing(folder: Path, name: str) -> Path:
@@ -221,19 +182,3 @@ def _existing(folder: Path, name: str) -> Path:
     if not file.is_file():
         raise UserError(f"{file} is missing: name a folder that swarmtwin prepare made")
     return file
-
-
-def _named(index: np.ndarray, names: tuple[str, ...]) -> pa.DictionaryArray:
-    return pa.DictionaryArray.from_arrays(pa.array(index.astype(np.int32)), pa.array(names, pa.string()))
-
-
-def _index(table: pa.Table, name: str, names: tuple[str, ...]) -> np.ndarray:
-    """Return (N,) the position in `names` of each text in a column."""
-    encoded = table.column(name).cast(pa.string()).combine_chunks().dictionary_encode()
-    positions = {text: index for index, text in enumerate(names)}
-    translated = np.array([positions[text] for text in encoded.dictionary.to_pylist()], dtype=np.int64)
-    return translated[encoded.indices.to_numpy()]
-
-
-def _stacked(table: pa.Table, names: tuple[str, ...]) -> np.ndarray:
-    return np.column_stack([table.column(name).to_numpy() for name in names])

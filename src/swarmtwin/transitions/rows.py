@@ -7,6 +7,9 @@ import numpy as np
 
 from swarmtwin.recordings.recording import Recording
 
+# Times are written to 1 ms, so limits are compared with less than that to spare.
+TIME_TOLERANCE_S = 1e-6
+
 
 @dataclass(frozen=True)
 class Rows:

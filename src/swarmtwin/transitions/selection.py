@@ -1,9 +1,11 @@
-"""A part of the real transitions: what a laboratory would have that had recorded less."""
+"""A part of the real transitions: what a laboratory would have that had recorded less, and what is held out."""
+
+from collections.abc import Collection
 
 import numpy as np
 
 from swarmtwin.errors import UserError
-from swarmtwin.transitions.transitions import SPLITS, Transitions
+from swarmtwin.transitions.transitions import SPLITS, Split, Transitions
 
 
 def first_runs(transitions: Transitions, count: int) -> Transitions:
@@ -20,6 +22,17 @@ def first_runs(transitions: Transitions, count: int) -> Transitions:
         raise UserError(f"there are {available} real transitions for training and validation: ask for at most as many")
     kept = [run for part in parts for run in _first(part, count * len(part) / available)]
     return transitions.where(np.isin(transitions.run, kept) & (transitions.split != SPLITS.index("test")))
+
+
+def held_out(transitions: Transitions, splits: Collection[Split], most: int) -> Transitions:
+    """Keep the first whole runs of some splits, in their order, that hold at most `most` transitions together.
+
+    The very first run is kept whatever it holds, so that nothing is left only where the splits are empty.
+    """
+    chosen = np.isin(transitions.split, [SPLITS.index(split) for split in splits])
+    runs, sizes = np.unique(transitions.run[chosen], return_counts=True)
+    kept = runs[: max(1, int(np.searchsorted(np.cumsum(sizes), most, side="right")))]
+    return transitions.where(chosen & np.isin(transitions.run, kept))
 
 
 def _first(part: Transitions, share: float) -> np.ndarray:

@@ -20,8 +20,12 @@ class Transitions:
         robot: the robot they were measured on.
         command: (N, m) held over the period, in the robot's units.
         previous_command: (N, m) held over the period before; NaN where there was none (start of a run, after a gap).
+        earlier_command: (N, m) held over the period before that; NaN where there was none or no previous one.
         pose: (N, 3) x_mm, y_mm, heading_rad at the start, in the arena's frame.
         displacement: (N, 3) forward_mm, left_mm, turn_rad in the vehicle's frame at the start.
+        neighbours: (N, K, 3) forward_mm, left_mm, turn_rad from the vehicle's pose at the start to those of the other
+            vehicles of its run at that time; K is the most others in any run, 0 where vehicles drive alone and for
+            synthetic transitions; a row of NaN where there are fewer or a pose is unknown.
         time_s: (N,) session time at the start.
         duration_s: (N,) measured length of the period.
         run: (N,) index into `runs`.
@@ -34,8 +38,10 @@ class Transitions:
     robot: Robot
     command: np.ndarray
     previous_command: np.ndarray
+    earlier_command: np.ndarray
     pose: np.ndarray
     displacement: np.ndarray
+    neighbours: np.ndarray
     time_s: np.ndarray
     duration_s: np.ndarray
     run: np.ndarray

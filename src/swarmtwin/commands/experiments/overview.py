@@ -1,6 +1,7 @@
 """`swarmtwin experiment name=overview`: the whole pipeline on one page, and as tables in the terminal."""
 
 import base64
+import json
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -16,6 +17,9 @@ from swarmtwin.commands.experiments.policy_table import PolicyRow, policy_rows, 
 from swarmtwin.dynamics.store import read_description
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
+from swarmtwin.gap.diagnosis import Diagnosis
+from swarmtwin.gap.report import CAPTIONS, Bars, gain_bars, leading_pictures
+from swarmtwin.gap.report_words import verdict_words
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import Preparation, load_preparation
 
@@ -40,6 +44,8 @@ class Chapter(NamedTuple):
         best: the best of them.
         cases: table.csv of models trained on real and on synthetic transitions, None where they are not there yet.
         policies: table.csv of the policies rolled out, likewise.
+        diagnosis: of a later session, likewise.
+        report: the diagnosis's own page.
         champions: the promoted version of each registered model.
         pictures: by section of the page, with their captions.
         films: with their captions.
@@ -51,6 +57,8 @@ class Chapter(NamedTuple):
     best: str
     cases: pd.DataFrame | None
     policies: pd.DataFrame | None
+    diagnosis: Diagnosis | None
+    report: Path
     champions: dict[str, registry.Version | None]
     pictures: dict[str, dict[str, Path]]
     films: dict[str, Path]
@@ -69,6 +77,16 @@ class Chapter(NamedTuple):
     def policy_rows(self) -> list[PolicyRow]:
         """The policies as a person reads them."""
         return [] if self.policies is None else policy_rows(self.policies)
+
+    @property
+    def verdict(self) -> str:
+        """What the diagnosis says in one sentence."""
+        return "" if self.diagnosis is None else verdict_words(self.diagnosis)
+
+    @property
+    def gain(self) -> list[Bars]:
+        """The errors on the later session before and after the extension."""
+        return [] if self.diagnosis is None else gain_bars(self.diagnosis)
 
 
 PICTURES = {
@@ -114,6 +132,10 @@ def run(options: Options) -> None:
     for chapter in chapters:
         if chapter.policies is not None:
             console.print(policy_table(chapter.robot.title, chapter.policies))
+    for chapter in chapters:
+        if chapter.diagnosis is not None:
+            console.print(f"{chapter.robot.title}, a later session: {chapter.verdict}", highlight=False, soft_wrap=True)
+            console.print(f"the whole diagnosis: {chapter.report}", highlight=False, soft_wrap=True)
     console.print(_registry_table(chapters))
     films = [film for chapter in chapters for film in chapter.films.values()]
     console.print(f"the same with pictures and films: {options.output / 'overview.html'}", highlight=False)
@@ -129,16 +151,20 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     best = read_description(comparison / "best")
     policies = _table(artifacts / "transfer" / robot_name)
     names = [] if policies is None else list(policies.policy)
+    diagnosis = _diagnosis(artifacts / "diagnosis" / robot_name)
+    pictures = {section: _pictures(artifacts, robot_name, section, names) for section in PICTURES}
     films = {name: artifacts / FILM.format(robot=robot_name, policy=name) for name in names}
     return Chapter(
         robot=best.robot,
         preparation=load_preparation(artifacts / "transitions" / robot_name),
         models=pd.read_csv(comparison / "table.csv"),
         best=best.model["name"],
+        diagnosis=diagnosis,
+        report=artifacts / "diagnosis" / robot_name / "report.html",
         cases=_table(artifacts / "real_and_synthetic" / robot_name),
         policies=policies,
         champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
-        pictures={section: _pictures(artifacts, robot_name, section, names) for section in PICTURES},
+        pictures=pictures | {"diagnosis": _leading(artifacts / "diagnosis" / robot_name, diagnosis)},
         films={name: film for name, film in films.items() if film.exists()},
     )
 
@@ -146,6 +172,23 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
 def _table(folder: Path) -> pd.DataFrame | None:
     file = folder / "table.csv"
     return pd.read_csv(file) if file.exists() else None
+
+
+def _diagnosis(folder: Path) -> Diagnosis | None:
+    file = folder / "diagnosis.json"
+    if not file.exists():
+        return None
+    try:
+        return Diagnosis.parse(json.loads(file.read_text()), str(file))
+    except json.JSONDecodeError as error:
+        raise UserError(f"{file} is damaged ({error}): run `dvc repro` again") from None
+
+
+def _leading(folder: Path, diagnosis: Diagnosis | None) -> dict[str, Path]:
+    """Return the pictures that show what a diagnosis found, by their captions."""
+    names = [] if diagnosis is None else leading_pictures(diagnosis)
+    files = {CAPTIONS[name]: folder / "figures" / f"{name}.png" for name in names}
+    return {caption: file for caption, file in files.items() if file.exists()}
 
 
 def _pictures(artifacts: Path, robot: str, section: str, policies: list[str]) -> dict[str, Path]:

@@ -1,0 +1,20 @@
+"""Only the spread of the motion changed: a rougher ground, busier water."""
+
+from typing import ClassVar, Literal
+
+from swarmtwin.gap.mechanism import Mechanism, Quantity
+
+
+class Config(Mechanism):
+    """The random part of the motion is `factor` times as large; its mean is as ever, the camera's noise as well."""
+
+    words: ClassVar = "the motion is {factor} times as random"
+    remedy: ClassVar = "look for a rougher ground, loose parts or busier water"
+    quantities: ClassVar = {"factor": Quantity(0.1, 6.0, 1.0, "", (1.0,))}
+
+    name: Literal["noise_change"] = "noise_change"
+    factor: float
+
+    def noise_factor(self) -> float:
+        """Multiply the random part of the motion."""
+        return self.factor

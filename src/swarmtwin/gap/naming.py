@@ -1,0 +1,199 @@
+"""Causes are named one after the other: the best is added, then each is tried against every other one."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from swarmtwin.gap.base import AnyBase
+from swarmtwin.gap.certainty import Certainty, certainty
+from swarmtwin.gap.fitting import Fit, Kind, Problem, best_start
+from swarmtwin.gap.mechanism import Places
+
+MOST_CAUSES = 4
+FEWEST_NATS = 15.0
+FEWEST_NATS_A_TRANSITION = 0.006
+PENALTY_WEIGHT = 2.0
+EXCHANGE_NATS = 3.0
+RIVAL_NATS = 4.0
+RIVAL_ERRORS = 2.5
+SEARCH_NATS = 4.0
+PROMISE = 0.35
+
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Named:
+    """The causes found in a session.
+
+    Attributes:
+        fit: the mechanisms with their values.
+        certainty: of these values.
+        news: (number of causes,) nats by which each one is missed when it is left out, penalties taken off.
+        rivals: for each cause, those that fit in its place nearly as well, with what their fit is worse by, (R,) nats.
+    """
+
+    fit: Fit
+    certainty: Certainty | None
+    news: tuple[float, ...]
+    rivals: tuple[Mapping[str, np.ndarray], ...]
+
+
+class Search:
+    """A search for the causes in one session.
+
+    Args:
+        problem: the session.
+        known: the reference's own transitions, answered by what has not seen them: what improves these as well is a
+            weakness of the simulation, and no news.
+        base: the simulation.
+        kinds: the mechanisms offered, by name.
+        report: called with what is being tried, and how far it is.
+    """
+
+    def __init__(
+        self, problem: Problem, known: Problem, base: AnyBase, kinds: Mapping[str, Kind], report: Report | None = None
+    ) -> None:
+        self.problem, self.known, self.base = problem, known, base
+        self.kinds = {name: kind for name, kind in kinds.items() if problem.offers(kind)}
+        self.report = report
+        self._fits: dict[frozenset[str], Fit] = {}
+        self._found_places: dict[frozenset[str], Places] = {}
+        self._promises: dict[frozenset[str], dict[str, float]] = {}
+        self._known_before = known.evaluate([]).total
+        self._share = len(problem.session) / len(known.session)
+        self.least = max(FEWEST_NATS, FEWEST_NATS_A_TRANSITION * len(problem.session))
+
+    def run(self) -> Named:
+        """Add the best cause, exchange what fits better otherwise, drop what is no longer needed; until nothing helps."""
+        chosen = self.problem.evaluate([])
+        for _ in range(MOST_CAUSES):
+            better = self._exchanged(self._grown(chosen))
+            if better is None or len(better.mechanisms) <= len(chosen.mechanisms):
+                break
+            chosen = better
+        chosen = self._pruned(chosen)
+        if not chosen.mechanisms:
+            return Named(chosen, None, (), ())
+        news = tuple(self._news(chosen, self._without(chosen, index)) for index in range(len(chosen.mechanisms)))
+        rivals = tuple(self._rivals(chosen, index) for index in range(len(chosen.mechanisms)))
+        return Named(chosen, certainty(self.problem, self.base, chosen), news, rivals)
+
+    def _fit(self, beside: Fit, kind: Kind) -> Fit:
+        """Fit a mechanism together with those of a fit, from where these are."""
+        key = frozenset([*beside.names, kind.model_fields["name"].default])
+        if key not in self._fits:
+            start = best_start(self.problem, kind, beside.mechanisms, self._places(beside))
+            self._fits[key] = self.problem.fit(start)
+        return self._fits[key]
+
+    def _places(self, fit: Fit) -> Places:
+        key = frozenset(fit.names)
+        if key not in self._found_places:
+            self._found_places[key] = self.problem.places(fit)
+        return self._found_places[key]
+
+    def _promising(self, fit: Fit, needed: float) -> list[str]:
+        """Return the mechanisms that could gain so many nats beside a fit, the most promising first."""
+        key = frozenset(fit.names)
+        if key not in self._promises:
+            places = self._places(fit)
+            self._promises[key] = {
+                name: self.problem.promise(fit, kind, places)
+                for name, kind in self.kinds.items()
+                if name not in fit.names
+            }
+        promises = self._promises[key]
+        return sorted((name for name in promises if promises[name] > needed), key=lambda name: -promises[name])
+
+    def _grown(self, chosen: Fit) -> Fit | None:
+        """Return the best fit with one mechanism more, None where none is worth it."""
+        best, most = None, 0.0
+        names = self._promising(chosen, PROMISE * self.least)
+        for number, name in enumerate(names):
+            if self.report:
+                self.report(f"cause {len(chosen.mechanisms) + 1}", number, len(names))
+            if self._promises[frozenset(chosen.names)][name] < PROMISE * (most + self.least):
+                continue
+            found = self._fit(chosen, self.kinds[name])
+            if found.total - chosen.total > max(most, self.least):
+                news = self._news(found, chosen)
+                if news > max(most, self.least):
+                    best, most = found, news
+        return best
+
+    def _exchanged(self, chosen: Fit | None) -> Fit | None:
+        """Exchange single mechanisms as long as another one fits better in their place."""
+        if chosen is None or len(chosen.mechanisms) < 2:
+            return chosen
+        for _ in range(len(chosen.mechanisms) + 1):
+            better = self._best_exchange(chosen)
+            if better is None:
+                return chosen
+            chosen = better
+        return chosen
+
+    def _best_exchange(self, chosen: Fit) -> Fit | None:
+        best = None
+        for index in range(len(chosen.mechanisms)):
+            others = self._without(chosen, index)
+            for name in self._promising(others, PROMISE * (chosen.total - others.total)):
+                if name in chosen.names:
+                    continue
+                found = self._fit(others, self.kinds[name])
+                standing = best or chosen
+                more = len(self.problem.values(found.mechanisms)) - len(self.problem.values(standing.mechanisms))
+                if found.total > standing.total + EXCHANGE_NATS + max(more, 0):
+                    best = found
+        return best
+
+    def _pruned(self, chosen: Fit) -> Fit:
+        """Drop mechanisms that the others make superfluous."""
+        while len(chosen.mechanisms) > 1:
+            left = [self._without(chosen, index) for index in range(len(chosen.mechanisms))]
+            news = [self._news(chosen, fit) for fit in left]
+            if min(news) > self.least:
+                return chosen
+            chosen = left[int(np.argmin(news))]
+        return chosen
+
+    def _without(self, chosen: Fit, index: int) -> Fit:
+        others = [one for number, one in enumerate(chosen.mechanisms) if number != index]
+        key = frozenset(other.name for other in others)
+        if key not in self._fits:
+            self._fits[key] = self.problem.fit(others)
+        return self._fits[key]
+
+    def _news(self, larger: Fit, smaller: Fit) -> float:
+        """Return the nats that a fit is better by than a smaller one, as far as that is news and not chance."""
+        gained = larger.total - smaller.total
+        added = [mechanism for mechanism in larger.mechanisms if mechanism.name not in smaller.names]
+        already = self.known.evaluate(added).total - self._known_before
+        penalty = certainty(self.problem, self.base, larger).penalty
+        if smaller.mechanisms:
+            penalty -= certainty(self.problem, self.base, smaller).penalty
+        searched = SEARCH_NATS * sum(not mechanism.is_smooth for mechanism in added)
+        return gained - self._share * max(already, 0.0) - PENALTY_WEIGHT * max(penalty, 0.0) - searched
+
+    def _rivals(self, chosen: Fit, index: int) -> dict[str, np.ndarray]:
+        """Return by name what fits nearly as well in the place of a cause, and by how much less in each run, (R,)."""
+        others = self._without(chosen, index)
+        found = {}
+        for name in self._promising(others, PROMISE * (chosen.total - others.total)):
+            if name in chosen.names:
+                continue
+            rival = self._fit(others, self.kinds[name])
+            worse = self.problem.session.by_run(chosen.likelihood - rival.likelihood)
+            error = worse.std() * np.sqrt(len(worse))
+            if worse.sum() < max(RIVAL_NATS, RIVAL_ERRORS * error):
+                found[name] = worse
+        return found
+
+
+def refitted(named: Named, problem: Problem, base: AnyBase) -> Named:
+    """Return the same causes with values fitted to another, larger session."""
+    if not named.fit.mechanisms:
+        return replace(named, fit=problem.evaluate([]))
+    fit = problem.fit(named.fit.mechanisms)
+    return replace(named, fit=fit, certainty=certainty(problem, base, fit))

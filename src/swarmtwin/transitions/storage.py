@@ -1,0 +1,110 @@
+"""Transitions as one parquet file: a row each, with their robot, runs and vehicles in the file's metadata."""
+
+import json
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+
+from swarmtwin.recordings.faults import fault
+from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Robot
+from swarmtwin.transitions.transitions import SPLITS, Transitions
+
+
+def write_transitions(file: Path, transitions: Transitions) -> None:
+    """Write transitions to `file`; those that have K neighbours get columns `neighbour_1_forward_mm` and so on."""
+    names = transitions.robot.command_columns
+    most = transitions.neighbours.shape[1]
+    neighbours = transitions.neighbours.reshape(len(transitions), 3 * most)
+    columns: dict[str, Any] = {
+        "run": _named(transitions.run, transitions.runs),
+        "vehicle": _named(transitions.vehicle, transitions.vehicles),
+        "split": _named(transitions.split, SPLITS),
+        "time_s": transitions.time_s,
+        "duration_s": transitions.duration_s,
+        **dict(zip(names, transitions.command.T, strict=True)),
+        **dict(zip((f"previous_{name}" for name in names), transitions.previous_command.T, strict=True)),
+        **dict(zip((f"earlier_{name}" for name in names), transitions.earlier_command.T, strict=True)),
+        **dict(zip(POSE_COLUMNS, transitions.pose.T, strict=True)),
+        **dict(zip(DISPLACEMENT_COLUMNS, transitions.displacement.T, strict=True)),
+        **dict(zip(_neighbour_columns(most), neighbours.T, strict=True)),
+    }
+    metadata = {
+        "robot": transitions.robot.model_dump_json(),
+        "runs": json.dumps(transitions.runs),
+        "vehicles": json.dumps(transitions.vehicles),
+    }
+    pa.parquet.write_table(pa.table(columns, metadata=metadata), file)
+
+
+def read_transitions(file: Path, remedy: str) -> Transitions:
+    """Read the transitions in `file`, their robot inside.
+
+    A file of an old version has no neighbours, and its earlier commands are NaN.
+
+    Raises:
+        UserError: the file is missing or damaged; `remedy` is what to do about it.
+    """
+    try:
+        table = pa.parquet.read_table(file)
+        metadata = {name.decode(): value for name, value in (table.schema.metadata or {}).items()}
+        robot = Robot.model_validate_json(metadata["robot"])
+        names = robot.command_columns
+        return Transitions(
+            robot=robot,
+            command=_stacked(table, names),
+            previous_command=_stacked(table, tuple(f"previous_{name}" for name in names)),
+            earlier_command=_earlier_command(table, names),
+            pose=_stacked(table, POSE_COLUMNS),
+            displacement=_stacked(table, DISPLACEMENT_COLUMNS),
+            neighbours=_neighbours(table),
+            time_s=table.column("time_s").to_numpy(),
+            duration_s=table.column("duration_s").to_numpy(),
+            run=_index(table, "run", runs := tuple(json.loads(metadata["runs"]))),
+            vehicle=_index(table, "vehicle", vehicles := tuple(json.loads(metadata["vehicles"]))),
+            split=_index(table, "split", SPLITS).astype(np.int8),
+            runs=runs,
+            vehicles=vehicles,
+        )
+    except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        what = f"no transitions can be read ({str(error).splitlines()[0]})"
+        raise fault(file, what, remedy) from None
+
+
+def _named(index: np.ndarray, names: tuple[str, ...]) -> pa.DictionaryArray:
+    return pa.DictionaryArray.from_arrays(pa.array(index.astype(np.int32)), pa.array(names, pa.string()))
+
+
+def _index(table: pa.Table, name: str, names: tuple[str, ...]) -> np.ndarray:
+    """Return (N,) the position in `names` of each text in a column."""
+    encoded = table.column(name).cast(pa.string()).combine_chunks().dictionary_encode()
+    positions = {text: index for index, text in enumerate(names)}
+    translated = np.array([positions[text] for text in encoded.dictionary.to_pylist()], dtype=np.int64)
+    return translated[encoded.indices.to_numpy()]
+
+
+def _stacked(table: pa.Table, names: tuple[str, ...]) -> np.ndarray:
+    return np.column_stack([table.column(name).to_numpy() for name in names])
+
+
+def _earlier_command(table: pa.Table, names: tuple[str, ...]) -> np.ndarray:
+    """Return (N, m) the commands before the previous ones, NaN where the file has no columns for them."""
+    columns = tuple(f"earlier_{name}" for name in names)
+    if not set(columns) & set(table.column_names):
+        return np.full((len(table), len(names)), np.nan)
+    return _stacked(table, columns)
+
+
+def _neighbour_columns(most: int) -> tuple[str, ...]:
+    return tuple(f"neighbour_{number}_{name}" for number, name in product(range(1, most + 1), DISPLACEMENT_COLUMNS))
+
+
+def _neighbours(table: pa.Table) -> np.ndarray:
+    """Return (N, K, 3) as many neighbours as the file has columns for."""
+    most = sum(name.startswith("neighbour_") for name in table.column_names) // len(DISPLACEMENT_COLUMNS)
+    if not most:
+        return np.empty((len(table), 0, 3))
+    return _stacked(table, _neighbour_columns(most)).reshape(len(table), most, 3)
