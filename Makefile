@@ -38,7 +38,7 @@ run: setup  # the robots' pipelines side by side; a refused promotion is an answ
 pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time
 pipeline@%:
 	@sleep $(or $(WAIT),0)
-	@bash -o pipefail -c '$(BIN)/dvc repro comparison@$* real_and_synthetic@$* transfer@$* 2>&1 | sed -u "s/^/$*: /"'
+	@bash -o pipefail -c '$(BIN)/dvc repro comparison@$* real_and_synthetic@$* $(if $(filter mgr,$*),diagnosis@$*) transfer@$* 2>&1 | sed -u "s/^/$*: /"'
 
 test: setup
 	$(BIN)/dvc pull --quiet data

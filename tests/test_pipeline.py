@@ -130,6 +130,7 @@ def test_a_stage_hangs_on_the_choices_of_its_command(stage):
         "generate": ("generator",),
         "train": ("model", "recipe"),
         "learn": ("task", "policy"),
+        "diagnose": ("robot",),
         "experiment": tuple(group for group in choices if group in ("recipe", "model@crnet", "generator@generator")),
     }
     for group in shaping[stage.arguments[0]]:
@@ -142,6 +143,7 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
     names = (
         *("recording", "transitions", "generators", "models", "simulation", "policies"),
         *("train_vehicle", "other_vehicle", "open_loop"),
+        *("reference", "measured"),
     )
     read = [config[name] for name in names if config.get(name)]
     if stage.arguments[0] in ("train", "generate") and not config.transitions:

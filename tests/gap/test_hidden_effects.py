@@ -5,12 +5,16 @@ import pytest
 from hidden import fresh_plan, learned, nothing, one
 
 from swarmtwin.commands.experiments.hidden_effects_outside import OUTSIDE
-from swarmtwin.commands.experiments.hidden_effects_sizes import CATALOGUE
 from swarmtwin.gap.diagnosing import diagnose
 
 CLEAR = 0.85
-EASY_OUTSIDE = ("oscillating_gain", "rotating_current", "brushed_floor")
+EASY_OUTSIDE = ("rotating_current", "whirl", "bowl")
 ROBOTS = ("mgr", "mur")
+SURE = {
+    "mgr": {"gain_change", "actuator_asymmetry", "command_delay", "battery_sag", "steady_drift", "marker_offset"},
+    "mur": {"steady_drift", "marker_yaw", "marker_offset", "noise_change", "surface_patch", "battery_sag"},
+}
+"""Causes that a short session tells without doubt; the study counts all of them, and how often each is missed."""
 
 
 @pytest.fixture(scope="module")
@@ -25,9 +29,9 @@ def references(robots, plan):
 
 @pytest.fixture(scope="module")
 def drawn(plan):
-    """Three causes for each robot, no two alike, drawn anew each time."""
-    names = list(np.random.default_rng(plan.seed).permutation(sorted(CATALOGUE))[:6])
-    return {"mgr": names[:3], "mur": names[3:]}
+    """Three causes for each robot, drawn anew each time."""
+    rng = np.random.default_rng(plan.seed)
+    return {robot: [str(name) for name in rng.permutation(sorted(names))[:3]] for robot, names in SURE.items()}
 
 
 @pytest.mark.parametrize("number", range(3))
@@ -54,3 +58,4 @@ def test_what_the_catalogue_does_not_know_is_not_explained(robots, plan, referen
     hidden = one(robots["mgr"], plan, name, CLEAR)
     diagnosis = diagnose(references["mgr"], hidden.measured.recording, plan.seed).diagnosis
     assert diagnosis.verdict == "unexplained", (plan.seed, hidden.about, diagnosis.causes)
+    assert not diagnosis.causes, (plan.seed, hidden.about, diagnosis.causes)

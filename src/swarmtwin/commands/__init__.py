@@ -24,6 +24,7 @@ COMMANDS = {
     "train": Command("train", "train a dynamics model on transitions or on a recording"),
     "evaluate": Command("evaluate", "a simulation model against measured runs: one-step, floor, open loop"),
     "tune": Command("tune", "search hyper-parameters with Optuna, several processes on one study"),
+    "diagnose": Command("diagnose", "what a simulation gets wrong on measured data: cause, extended simulation, gain"),
     "learn": Command("learn", "learn a policy, shared by all vehicles, in the simulated world"),
     "rollout": Command("rollout", "a policy from the same starts in the simulation and on stand-ins, side by side"),
     "promote": Command("promote", "make a registered model the champion, if it passes the gate; or roll back"),

@@ -13,8 +13,8 @@ from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.open_loop import OpenLoop, OpenLoopFigure, open_loop, summary
 from swarmtwin.dynamics.provenance import Provenance
-from swarmtwin.dynamics.store import load_dynamics
 from swarmtwin.errors import UserError
+from swarmtwin.gap.store import load_dynamics
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, Robot
 from swarmtwin.standin.truth import TRUTH_FILE, read_truth

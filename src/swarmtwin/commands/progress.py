@@ -1,6 +1,6 @@
 """What a person sees while seeds train: one bar each, with its errors on the validation runs."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -50,5 +50,18 @@ def learning_bars(name: str, steps: int) -> Iterator[StageReport]:
                 tasks[seed] = bars.add_task(f"{name}, seed {seed}", total=steps, evaluation="")
             evaluation = f"success {stage.success:.0%}  reward {stage.reward:.2f}" if stage else ""
             bars.update(tasks[seed], completed=done, evaluation=evaluation)
+
+        yield report
+
+
+@contextmanager
+def stage_bar(name: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Show one bar that says what is being done while the block works; give the function that moves it."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[stage]}"))
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        task = bars.add_task(name, total=None, stage="")
+
+        def report(stage: str, done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total, stage=stage)
 
         yield report

@@ -93,19 +93,6 @@ class LearnedBase(nn.Module):
             return self.ensemble.answer(self.columns.of(command, previous_command, pose), self.member).double()
 
 
-class CrossFitted:
-    """A learned base on its own reference: each transition is answered by the member that has not seen its run."""
-
-    def __init__(self, base: LearnedBase, fold: np.ndarray) -> None:
-        self.robot, self.parts = base.robot, base.parts
-        self._base, self._fold = base, fold
-
-    def way(self, command: Tensor, previous_command: Tensor, pose: Tensor) -> Tensor:
-        """Return the answers (N, 3) for the reference's own transitions, in their order."""
-        answers = self._base.each(command, previous_command, pose)
-        return answers[self._fold, np.arange(len(self._fold))].double()
-
-
 class SimulationBase(nn.Module):
     """A trained dynamics model, and what the reference is known to do beyond it.
 
@@ -143,17 +130,39 @@ class SimulationBase(nn.Module):
         if self.correction:
             self.correction.member = member
 
+    def each(self, command: Tensor, previous_command: Tensor, pose: Tensor) -> Tensor:
+        """Return every member's answer (M, N, 3)."""
+        assert self.correction is not None
+        alone = self._alone(command, previous_command, pose)
+        return alone + self.correction.each(command, previous_command, pose)
+
     def way(self, command: Tensor, previous_command: Tensor, pose: Tensor) -> Tensor:
         """Return the model's answer with its correction, (N, 3)."""
+        way = self._alone(command, previous_command, pose)
+        return way + self.correction.way(command, previous_command, pose) if self.correction else way
+
+    def _alone(self, command: Tensor, previous_command: Tensor, pose: Tensor) -> Tensor:
         given = {"command": command, "previous_command": previous_command, "pose": pose}
         situation = Situation(**{part: given[part].float() for part in self.dynamics.parts})
         with torch.no_grad():
             chunks = [self.dynamics(situation[slice(start, start + LOT)]) for start in range(0, len(situation), LOT)]
-        way = twist_of(torch.cat(chunks).double())
-        return way + self.correction.way(command, previous_command, pose) if self.correction else way
+        return twist_of(torch.cat(chunks).double())
 
 
 AnyBase = LearnedBase | SimulationBase
+
+
+class CrossFitted:
+    """A base on its own reference: each transition is answered by the member that has not seen its run."""
+
+    def __init__(self, base: AnyBase, fold: np.ndarray) -> None:
+        self.robot, self.parts = base.robot, base.parts
+        self._base, self._fold = base, fold
+
+    def way(self, command: Tensor, previous_command: Tensor, pose: Tensor) -> Tensor:
+        """Return the answers (N, 3) for the reference's own transitions, in their order."""
+        answers = self._base.each(command, previous_command, pose)
+        return answers[self._fold, np.arange(len(self._fold))].double()
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class Certainty:
 
     @property
     def penalty(self) -> float:
-        """Nats by which a session's likelihood is better than that of another one like it, for having been fitted to."""
+        """Nats by which a session is likelier than another one like it, for having been fitted to."""
         return float(np.trace(self.information @ self.covariance))
 
     def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:

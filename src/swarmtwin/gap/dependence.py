@@ -4,13 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy import stats
 
 from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.diagnosis import Dependence
-from swarmtwin.gap.learned import columns as all_columns
 from swarmtwin.gap.fitting import Fit, Problem
+from swarmtwin.gap.learned import columns as all_columns
 from swarmtwin.gap.noise import residual_of
 from swarmtwin.gap.session import Session
 
@@ -73,10 +72,7 @@ def dependences(measured: Examined, known: Examined, seed: int) -> list[Dependen
     rng = np.random.default_rng(seed)
     parts = _functions(measured.session)
     known_parts = _functions(known.session)
-    tests = [
-        _tested(part, functions, known_parts.get(part), measured, known, rng)
-        for part, functions in parts.items()
-    ]
+    tests = [_tested(part, functions, known_parts.get(part), measured, known, rng) for part, functions in parts.items()]
     tests += _shape_tests(measured, known, rng)
     return _controlled(tests)
 
@@ -95,7 +91,7 @@ def _functions(session: Session) -> dict[str, np.ndarray]:
     parts = {
         "command": _polynomials(command),
         "previous_command": _polynomials(previous),
-        "heading": np.stack([f(k * heading) for k in (1, 2) for f in (np.cos, np.sin)], axis=1),
+        "heading": np.stack([f(k * heading) for k in (1, 2, 3, 4) for f in (np.cos, np.sin)], axis=1),
         "position": np.concatenate([_polynomials(place), _bumps(place)], axis=1),
         "wall_distance": np.stack([np.exp(-wall_mm / (share * least_mm)) for share in (0.05, 0.15)], axis=1),
         "time": np.stack([time, time**2, time**3, np.sign(time), *_waves(time)], axis=1),
@@ -190,7 +186,9 @@ def _shape_tests(measured: Examined, known: Examined, rng: np.random.Generator) 
     for part, of in (("spread", lambda z: np.minimum(z**2, FAR_Z**2)), ("tails", lambda z: np.abs(z) > FAR_Z)):
         figures = []
         for examined in (measured, known):
-            by_run = examined.session.by_run(np.column_stack([of(examined.residual).mean(axis=1), np.ones(len(examined.residual))]))
+            by_run = examined.session.by_run(
+                np.column_stack([of(examined.residual).mean(axis=1), np.ones(len(examined.residual))])
+            )
             weights = rng.multinomial(len(by_run), np.full(len(by_run), 1 / len(by_run)), DRAWS)
             resampled = weights @ by_run
             figures.append((by_run[:, 0].sum() / by_run[:, 1].sum(), (resampled[:, 0] / resampled[:, 1]).std()))
@@ -198,7 +196,9 @@ def _shape_tests(measured: Examined, known: Examined, rng: np.random.Generator) 
         deviation = (here - there) / max(np.hypot(error, other_error), 1e-9)
         p_value = float(2 * stats.norm.sf(abs(deviation)))
         explained = float(here / max(there, 1e-9) - 1) if part == "spread" else float(here - there)
-        found.append(Dependence(part=part, statistic=float(deviation), p_value=p_value, explained=explained, found=False))
+        found.append(
+            Dependence(part=part, statistic=float(deviation), p_value=p_value, explained=explained, found=False)
+        )
     return found
 
 

@@ -10,8 +10,9 @@ WIDTH = 32
 FULL_WIDTH = 64
 LEARNING_RATE = 0.01
 WEIGHT_DECAY = 0.1
-BATCH = 256
-STEPS = 1000
+BATCH, LARGE_BATCH = 256, 1024
+STEPS, MORE_STEPS = 1000, 1600
+MANY = 12_000
 WARM_UP = 0.1
 
 
@@ -43,25 +44,29 @@ class Ensemble(nn.Module):
         outputs: columns of the answer.
     """
 
+    offset: Tensor
+    scale: Tensor
+
     def __init__(self, members: int, groups: Sequence[Sequence[int]], outputs: int = 3) -> None:
         super().__init__()
         self.members = members
         self.groups = [list(group) for group in groups]
         self.parts = nn.ModuleList()
+        self._layers: list[tuple[Layer, Layer, Layer]] = []
         for number, group in enumerate(self.groups):
             width = FULL_WIDTH if number == len(self.groups) - 1 and len(group) > 4 else WIDTH
-            layers = [Layer(members, len(group), width), Layer(members, width, width), Layer(members, width, outputs)]
+            layers = (Layer(members, len(group), width), Layer(members, width, width), Layer(members, width, outputs))
             with torch.no_grad():
                 layers[-1].weight.mul_(0.3)
             self.parts.append(nn.ModuleList(layers))
+            self._layers.append(layers)
         self.register_buffer("offset", torch.zeros(outputs))
         self.register_buffer("scale", torch.ones(outputs))
 
     def scaled(self, inputs: Tensor) -> Tensor:
         """Return the members' answers (M, N, outputs) in units of the outputs' spread."""
         total: Tensor | None = None
-        for group, layers in zip(self.groups, self.parts, strict=True):
-            first, second, last = layers
+        for group, (first, second, last) in zip(self.groups, self._layers, strict=True):
             hidden = torch.relu(first(inputs[:, group].expand(self.members, len(inputs), len(group))))
             answer = last(torch.relu(second(hidden)))
             total = answer if total is None else total + answer
@@ -76,8 +81,7 @@ class Ensemble(nn.Module):
     def answer(self, inputs: Tensor, member: int) -> Tensor:
         """Return one member's answers (N, outputs)."""
         total = torch.zeros(len(inputs), len(self.offset))
-        for group, layers in zip(self.groups, self.parts, strict=True):
-            first, second, last = layers
+        for group, (first, second, last) in zip(self.groups, self._layers, strict=True):
             hidden = torch.relu(first(inputs[:, group], member))
             total = total + last(torch.relu(second(hidden, member)), member)
         answers: Tensor = total * self.scale + self.offset
@@ -85,7 +89,11 @@ class Ensemble(nn.Module):
 
 
 def learn(
-    groups: Sequence[Sequence[int]], inputs: np.ndarray, outputs: np.ndarray, fold: np.ndarray, seed: int,
+    groups: Sequence[Sequence[int]],
+    inputs: np.ndarray,
+    outputs: np.ndarray,
+    fold: np.ndarray,
+    seed: int,
     weight: np.ndarray | None = None,
 ) -> Ensemble:
     """Train one member a fold, each on all rows but those of its fold.
@@ -99,6 +107,7 @@ def learn(
         weight: (N, d) how much each number counts, or None.
     """
     members = int(fold.max()) + 1
+    batch, steps = (BATCH, STEPS) if len(inputs) < MANY else (LARGE_BATCH, MORE_STEPS)
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -112,9 +121,9 @@ def learn(
     counts = torch.as_tensor(fold[None] != np.arange(members)[:, None], dtype=torch.float32)
     importance = torch.ones(len(given), 1) if weight is None else torch.as_tensor(weight, dtype=torch.float32)
     optimiser = torch.optim.AdamW(ensemble.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=STEPS, pct_start=WARM_UP)
-    for _ in range(STEPS):
-        rows = torch.randint(0, len(given), (BATCH,), generator=generator)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=steps, pct_start=WARM_UP)
+    for _ in range(steps):
+        rows = torch.randint(0, len(given), (batch,), generator=generator)
         error = ((ensemble.scaled(given[rows]) - wanted[rows]) ** 2 * importance[rows]).mean(dim=-1)
         loss = members * (error * counts[:, rows]).sum() / counts[:, rows].sum()
         optimiser.zero_grad()

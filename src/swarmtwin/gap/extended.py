@@ -15,7 +15,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.learned import LearnedResidual
 from swarmtwin.gap.mechanism import Drive, Mechanism
-from swarmtwin.gap.motion import mean_displacement
+from swarmtwin.gap.motion import likeliest_displacement
 from swarmtwin.gap.surroundings import Surroundings
 from swarmtwin.robot import Positive, Robot, SituationPart
 
@@ -88,7 +88,7 @@ class ExtendedDynamics(Dynamics):
     def forward(self, situation: Situation) -> Tensor:
         """Predict displacements (N, 3): forward_mm, left_mm, turn_rad, as the camera will measure them."""
         drive = self._drive(situation)
-        displacement = mean_displacement(self.base, self.mechanisms, drive)
+        displacement = likeliest_displacement(self.base, self.mechanisms, drive)
         if self.residual:
             displacement = displacement_of(twist_of(displacement) + self.residual.way(drive))
         return displacement.float()

@@ -179,11 +179,17 @@ def _draw_walls(panel: Axes, choice: FieldChoice, arena: Arena) -> None:
 
 def _scale(fields: Iterable[Field]) -> float:
     """Return the end of a common scale, never so small that chance looks like something."""
-    sizes = np.concatenate(
-        [(np.abs(field.mean) + (field.mean.ndim == 1) * 2 * field.standard_error).ravel() for field in fields]
-    )
+    ends = [_end(field) for field in fields]
+    return max(LEAST_SCALE, 1.05 * max(ends))
+
+
+def _end(field: Field) -> float:
+    """Return the largest mean with its band; of a map's many bins, what two in a hundred go beyond."""
+    sizes = np.abs(field.mean)
+    if field.mean.ndim == 1:
+        sizes = sizes + 1.96 * field.standard_error
     known = sizes[np.isfinite(sizes)]
-    return max(LEAST_SCALE, 1.05 * float(np.quantile(known, 0.98))) if len(known) else LEAST_SCALE
+    return float(np.quantile(known, 1.0 if field.mean.ndim == 1 else 0.98)) if len(known) else 0.0
 
 
 def _draw_run(panel: Axes, before: OpenLoop, after: OpenLoop | None) -> None:

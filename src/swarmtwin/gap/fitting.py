@@ -1,8 +1,8 @@
 """Mechanisms fitted to a session by maximum likelihood."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -10,9 +10,8 @@ from scipy import optimize, stats
 from torch import Tensor
 
 from swarmtwin.dynamics.twist import displacement_of, twist_of
-from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.mechanism import Drive, Mechanism, Places, Quantity
-from swarmtwin.gap.motion import Alternative, Remembered, alternatives
+from swarmtwin.gap.motion import Alternative, Base, Remembered, alternatives
 from swarmtwin.gap.noise import Noise, residual_of
 from swarmtwin.gap.session import Session
 from swarmtwin.geometry import compose
@@ -23,7 +22,7 @@ FARTHEST_Z = 2.5
 OUTLIER_Z = 4.0
 MOST_EVALUATIONS = 14
 SCALE_ROUNDS = 3
-MOST_POLISHING = 60
+MOST_POLISHING = 40
 GRIP_STEP = 0.02
 
 
@@ -60,9 +59,9 @@ class Fit:
 
 
 class Problem:
-    """A session, the simulation and its noise: how likely is what was measured, given mechanisms?"""
+    """A session, the simulation and its noise: says how likely what was measured is, given mechanisms."""
 
-    def __init__(self, base: AnyBase, noise: Noise, session: Session) -> None:
+    def __init__(self, base: Base, noise: Noise, session: Session) -> None:
         self.session = session
         self.noise = noise
         self.robot = base.robot
@@ -195,8 +194,16 @@ class Problem:
         margin = 1e-6 * (high - low)
         inside = np.clip(start, low + margin, high - margin)
         found = optimize.least_squares(
-            residuals, inside, jacobian, (low, high), x_scale=step, loss="huber", f_scale=FARTHEST_Z,
-            max_nfev=MOST_EVALUATIONS, xtol=1e-4, ftol=1e-6,
+            residuals,
+            inside,
+            jacobian,
+            (low, high),
+            x_scale=step,
+            loss="huber",
+            f_scale=FARTHEST_Z,
+            max_nfev=MOST_EVALUATIONS,
+            xtol=1e-4,
+            ftol=1e-6,
         )
         solution: np.ndarray = found.x
         return solution
@@ -208,7 +215,10 @@ class Problem:
             return -self.evaluate(self.assembled(kinds, np.clip(scaled * step, low, high))).total
 
         found = optimize.minimize(
-            loss, start / step, method="L-BFGS-B", bounds=list(zip(low / step, high / step, strict=True)),
+            loss,
+            start / step,
+            method="L-BFGS-B",
+            bounds=list(zip(low / step, high / step, strict=True)),
             options={"eps": 0.1, "maxiter": 12, "ftol": 1e-9},
         )
         return np.clip(found.x * step, low, high)
@@ -226,7 +236,9 @@ class Problem:
 
         simplex = np.concatenate([np.zeros((1, len(start))), np.eye(len(start)) * 1.5])
         found = optimize.minimize(
-            loss, np.zeros(len(start)), method="Nelder-Mead",
+            loss,
+            np.zeros(len(start)),
+            method="Nelder-Mead",
             options={"initial_simplex": simplex, "maxfev": MOST_POLISHING, "xatol": 0.02, "fatol": 0.05},
         )
         polished = self.evaluate(self.assembled(kinds, np.clip(start + found.x * step, low, high)))
@@ -234,7 +246,7 @@ class Problem:
 
     def slopes(self, kinds: Sequence[Kind], values: np.ndarray) -> np.ndarray:
         """Return (N, 3, P) as `jacobian` does, by differences to one side: half the work, enough for a search."""
-        low, high, step = self._bounds(kinds)
+        _, high, step = self._bounds(kinds)
         here = self.residual(self.assembled(kinds, values)).numpy()
         columns = []
         for index in range(len(values)):
@@ -258,12 +270,6 @@ class Problem:
             columns.append((first - second) / max(ahead - back, 1e-12))
         return np.stack(columns, axis=-1)
 
-
-    def directions(self, kind: Kind, others: Sequence[Mechanism], places: Places) -> list[tuple[dict[str, float], list[Mechanism]]]:
-        """Return where searches for a mechanism beside others begin, each with the mechanisms to begin with."""
-        starts = kind.starts(self.robot, self.surroundings, places)
-        return [(start, [*others, kind.at({**self.observed(kind), **start})]) for start in starts]
-
     def places(self, fit: Fit) -> Places:
         """Return where the grip seems to be another one than a fit says."""
         lost = [*fit.mechanisms, _Grip.at({"loss": GRIP_STEP})]
@@ -273,37 +279,52 @@ class Problem:
         middle = compose(drive.pose, displacement_of(self.session.way / 2))[:, :2].numpy()
         return Places(middle, -(held * response).sum(axis=1), (response**2).sum(axis=1))
 
-    def promise(self, fit: Fit, kind: Kind, places: Places) -> float:
-        """Estimate by one linear step what a mechanism beside a fit would gain at most, in nats."""
+    def promise(self, fit: Fit, kind: Kind, places: Places) -> "Promise":
+        """Estimate by one linear step what a mechanism beside a fit would gain, from the best place to begin."""
         quantities = kind.quantities_of(self.robot)
-        held = np.clip(fit.residual / fit.scale, -FARTHEST_Z, FARTHEST_Z)
-        neutral = [start for start, _ in self.directions(kind, fit.mechanisms, places)]
-        most = 0.0
-        for start in neutral:
-            moved = [self._moved(name, quantity, start) for name, quantity in quantities.items()]
-            moved = [values for values in moved if values] or [start]
-            responses = []
-            for values in moved:
-                mechanism = kind.at({**self.observed(kind), **start, **values})
-                ahead = self.evaluate([*fit.mechanisms, mechanism])
-                most = max(most, ahead.total - fit.total)
+        held = np.clip(fit.residual / fit.scale, -FARTHEST_Z, FARTHEST_Z).ravel()
+        best = Promise(-np.inf, fit.mechanisms, np.zeros_like(held))
+        for start in kind.starts(self.robot, self.surroundings, places):
+            begun = {**self.observed(kind), **start}
+            moved = [
+                {name: _moved(quantity, start[name])}
+                for name, quantity in quantities.items()
+                if quantity.neutral is not None
+            ]
+            gained, responses = 0.0, []
+            for values in moved or [{}]:
+                ahead = self.evaluate([*fit.mechanisms, kind.at({**begun, **values})])
+                gained = max(gained, ahead.total - fit.total)
                 responses.append(((ahead.residual - fit.residual) / fit.scale).ravel())
             stacked = np.stack(responses, axis=-1)
-            solution, *_ = np.linalg.lstsq(stacked, -held.ravel(), rcond=None)
-            most = max(most, float(-held.ravel() @ stacked @ solution) / 2)
-            if len(moved) == len(quantities) and len(neutral) > 1 and all(q.neutral is not None for q in quantities.values()) and kind.is_smooth:
-                break
-        return most
+            solution, *_ = np.linalg.lstsq(stacked, -held, rcond=None)
+            change = stacked @ solution
+            gained = max(gained, float(-held @ change) / 2)
+            if gained > best.nats:
+                best = Promise(gained, (*fit.mechanisms, kind.at(begun)), change)
+        return best
 
-    @staticmethod
-    def _moved(name: str, quantity: Quantity, start: Mapping[str, float]) -> dict[str, float]:
-        """Return a change of one parameter away from where it does nothing; empty for one that has no such place."""
-        if quantity.neutral is None:
-            return {}
-        value = start[name]
-        if value == quantity.neutral:
-            value += 3 * quantity.response_step * (1 if value + 3 * quantity.response_step <= quantity.high else -1)
-        return {name: value}
+
+class Promise(NamedTuple):
+    """What a mechanism beside a fit may gain.
+
+    Attributes:
+        nats: estimated gain of log-likelihood.
+        start: the fit's mechanisms and the new one, where a search begins.
+        change: (3 N,) what it would change of the standardised residuals.
+    """
+
+    nats: float
+    start: tuple[Mechanism, ...]
+    change: np.ndarray
+
+
+def _moved(quantity: Quantity, value: float) -> float:
+    """Return a value of a parameter away from where it does nothing."""
+    if value != quantity.neutral:
+        return value
+    step = 3 * quantity.response_step
+    return value + step if value + step <= quantity.high else value - step
 
 
 class _Grip(Mechanism):
@@ -319,12 +340,3 @@ class _Grip(Mechanism):
     def strength(self, drive: Drive) -> Tensor:
         """Lose the same share everywhere."""
         return torch.full((1, 1), 1 - self.loss, dtype=torch.float64)
-
-
-def best_start(problem: Problem, kind: Kind, others: Sequence[Mechanism], places: Places) -> list[Mechanism]:
-    """Return `others` and a mechanism of `kind` at the likeliest of the places where a search for it begins."""
-    candidates = [mechanisms for _, mechanisms in problem.directions(kind, others, places)]
-    if len(candidates) == 1:
-        return candidates[0]
-    likelihoods = [problem.evaluate(candidate).total for candidate in candidates]
-    return candidates[int(np.argmax(likelihoods))]

@@ -44,7 +44,9 @@ class LearnedResidual(nn.Module):
         fold = folds_of(session.run, FOLDS)
         usual = spread.median(dim=0).values
         weight = (usual / spread) ** 2
-        ensemble = learn(_groups(drive.robot, inputs.shape[1]), inputs, (residual / usual).numpy(), fold, seed, weight.numpy())
+        ensemble = learn(
+            _groups(drive.robot, inputs.shape[1]), inputs, (residual / usual).numpy(), fold, seed, weight.numpy()
+        )
         with torch.no_grad():
             answers = ensemble(torch.as_tensor(inputs)).double() * usual
         unseen = answers[fold, np.arange(len(session))]

@@ -1,14 +1,14 @@
 """What a mechanism is: a named physical cause with few bounded parameters, and the one place where it acts.
 
-A mechanism overrides the hooks of its place and leaves the others alone; `motion.py` runs the hooks of all mechanisms of
-an extended simulation in the order of the signal's way: link, electronics, actuators, ground, clock, camera. Tensors are
-float64 unless said otherwise; N situations at a time.
+A mechanism overrides the hooks of its place and leaves the others alone; `motion.py` runs the hooks of all mechanisms
+of an extended simulation in the order of the signal's way: link, electronics, actuators, ground, clock, camera. Tensors
+are float64 unless said otherwise; N situations at a time.
 """
 
 from abc import ABC
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 import torch
@@ -145,7 +145,8 @@ class Mechanism(StrictModel, ABC):
     @classmethod
     def at(cls, values: Mapping[str, float]) -> Self:
         """Return it with values, unchecked: for searches."""
-        return cls.model_construct(name=cls.model_fields["name"].default, **values)
+        content: dict[str, Any] = {"name": cls.model_fields["name"].default, **values}
+        return cast(Self, cls.model_construct(**content))
 
     @classmethod
     def observed(cls, duration_s: np.ndarray, period_s: float) -> dict[str, float] | None:

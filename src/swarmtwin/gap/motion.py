@@ -73,12 +73,14 @@ def alternatives(base: Base, mechanisms: Sequence[Mechanism], drive: Drive) -> l
     return [Alternative(probability, _measured(way, measured, mechanisms, drive)) for probability, way in ways]
 
 
-def mean_displacement(base: Base, mechanisms: Sequence[Mechanism], drive: Drive) -> Tensor:
-    """Return the expected measured displacements (N, 3) of N situations."""
+def likeliest_displacement(base: Base, mechanisms: Sequence[Mechanism], drive: Drive) -> Tensor:
+    """Return the likeliest measured displacements (N, 3) of N situations.
+
+    Where a command may be lost that is the motion with the command that arrives, if most do: the mean of both ways lies
+    where no vehicle ever goes, and has the larger mean error.
+    """
     found = alternatives(base, mechanisms, drive)
-    if len(found) == 1:
-        return found[0].displacement
-    return torch.stack([one.probability * one.displacement for one in found]).sum(dim=0)
+    return max(found, key=lambda one: one.probability).displacement
 
 
 def _ways(base: Base, mechanisms: Sequence[Mechanism], drive: Drive) -> list[tuple[float, Tensor]]:

@@ -7,8 +7,7 @@ import numpy as np
 
 from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.certainty import Certainty, certainty
-from swarmtwin.gap.fitting import Fit, Kind, Problem, best_start
-from swarmtwin.gap.mechanism import Places
+from swarmtwin.gap.fitting import Fit, Kind, Problem, Promise
 
 MOST_CAUSES = 4
 FEWEST_NATS = 15.0
@@ -16,9 +15,13 @@ FEWEST_NATS_A_TRANSITION = 0.006
 PENALTY_WEIGHT = 2.0
 EXCHANGE_NATS = 3.0
 RIVAL_NATS = 4.0
+NATS_A_PARAMETER = 4.0
+ALIKE_SHARE = 0.3
+LEAST_SHARE = 0.04
 RIVAL_ERRORS = 2.5
 SEARCH_NATS = 4.0
 PROMISE = 0.35
+EXCHANGE_PROMISE = 0.5
 
 Report = Callable[[str, int, int], None]
 
@@ -59,15 +62,16 @@ class Search:
         self.kinds = {name: kind for name, kind in kinds.items() if problem.offers(kind)}
         self.report = report
         self._fits: dict[frozenset[str], Fit] = {}
-        self._found_places: dict[frozenset[str], Places] = {}
-        self._promises: dict[frozenset[str], dict[str, float]] = {}
+        self._promises: dict[frozenset[str], dict[str, Promise]] = {}
+        self._changes: dict[str, np.ndarray] = {}
+        self._nothing = problem.evaluate([])
         self._known_before = known.evaluate([]).total
         self._share = len(problem.session) / len(known.session)
         self.least = max(FEWEST_NATS, FEWEST_NATS_A_TRANSITION * len(problem.session))
 
     def run(self) -> Named:
-        """Add the best cause, exchange what fits better otherwise, drop what is no longer needed; until nothing helps."""
-        chosen = self.problem.evaluate([])
+        """Add the best cause, exchange what fits better otherwise, drop what is not needed; until nothing helps."""
+        chosen = self._nothing
         for _ in range(MOST_CAUSES):
             better = self._exchanged(self._grown(chosen))
             if better is None or len(better.mechanisms) <= len(chosen.mechanisms):
@@ -82,46 +86,63 @@ class Search:
 
     def _fit(self, beside: Fit, kind: Kind) -> Fit:
         """Fit a mechanism together with those of a fit, from where these are."""
-        key = frozenset([*beside.names, kind.model_fields["name"].default])
+        name = kind.model_fields["name"].default
+        key = frozenset([*beside.names, name])
         if key not in self._fits:
-            start = best_start(self.problem, kind, beside.mechanisms, self._places(beside))
-            self._fits[key] = self.problem.fit(start)
+            self._fits[key] = self.problem.fit(self._promised(beside)[name].start)
         return self._fits[key]
 
-    def _places(self, fit: Fit) -> Places:
-        key = frozenset(fit.names)
-        if key not in self._found_places:
-            self._found_places[key] = self.problem.places(fit)
-        return self._found_places[key]
-
-    def _promising(self, fit: Fit, needed: float) -> list[str]:
-        """Return the mechanisms that could gain so many nats beside a fit, the most promising first."""
+    def _promised(self, fit: Fit) -> dict[str, Promise]:
+        """Return what each mechanism promises beside a fit."""
         key = frozenset(fit.names)
         if key not in self._promises:
-            places = self._places(fit)
+            places = self.problem.places(fit)
             self._promises[key] = {
                 name: self.problem.promise(fit, kind, places)
                 for name, kind in self.kinds.items()
                 if name not in fit.names
             }
-        promises = self._promises[key]
-        return sorted((name for name in promises if promises[name] > needed), key=lambda name: -promises[name])
+        return self._promises[key]
+
+    def _promising(self, fit: Fit, needed: float) -> list[str]:
+        """Return the mechanisms that could gain so many nats beside a fit, the most promising first."""
+        promised = self._promised(fit)
+        return sorted(
+            (name for name in promised if promised[name].nats > needed), key=lambda name: -promised[name].nats
+        )
 
     def _grown(self, chosen: Fit) -> Fit | None:
         """Return the best fit with one mechanism more, None where none is worth it."""
-        best, most = None, 0.0
+        best, most = None, self.least
+        promised = self._promised(chosen)
         names = self._promising(chosen, PROMISE * self.least)
         for number, name in enumerate(names):
             if self.report:
                 self.report(f"cause {len(chosen.mechanisms) + 1}", number, len(names))
-            if self._promises[frozenset(chosen.names)][name] < PROMISE * (most + self.least):
+            needed = max(most, self._needed_beside(chosen, promised[name].change))
+            if promised[name].nats < PROMISE * needed:
                 continue
             found = self._fit(chosen, self.kinds[name])
-            if found.total - chosen.total > max(most, self.least):
-                news = self._news(found, chosen)
-                if news > max(most, self.least):
-                    best, most = found, news
+            if found.total - chosen.total > needed and (news := self._news(found, chosen)) > needed:
+                best, most = found, news
         return best
+
+    def _needed_beside(self, chosen: Fit, change: np.ndarray) -> float:
+        """Return the nats that a further cause must bring: the more, the more it looks like one already named.
+
+        A mechanism is never exact. What it leaves is like itself, and must not be taken for a second cause.
+        """
+        needed = LEAST_SHARE * (chosen.total - self._nothing.total)
+        for index, mechanism in enumerate(chosen.mechanisms):
+            if mechanism.name not in self._changes:
+                alone = self.problem.evaluate([mechanism])
+                self._changes[mechanism.name] = (alone.residual - self._nothing.residual).ravel()
+            other = self._changes[mechanism.name]
+            size = float(np.linalg.norm(change) * np.linalg.norm(other))
+            alike = abs(float(change @ other)) / max(size, 1e-12)
+            gained = chosen.total - self._without(chosen, index).total
+            needed = max(needed, ALIKE_SHARE * alike * gained)
+        return needed
 
     def _exchanged(self, chosen: Fit | None) -> Fit | None:
         """Exchange single mechanisms as long as another one fits better in their place."""
@@ -138,12 +159,15 @@ class Search:
         best = None
         for index in range(len(chosen.mechanisms)):
             others = self._without(chosen, index)
-            for name in self._promising(others, PROMISE * (chosen.total - others.total)):
+            for name in self._promising(others, EXCHANGE_PROMISE * (chosen.total - others.total)):
                 if name in chosen.names:
                     continue
                 found = self._fit(others, self.kinds[name])
                 standing = best or chosen
                 more = len(self.problem.values(found.mechanisms)) - len(self.problem.values(standing.mechanisms))
+                needed = self._needed_beside(others, self._promised(others)[name].change)
+                if found.total - others.total < needed:
+                    continue
                 if found.total > standing.total + EXCHANGE_NATS + max(more, 0):
                     best = found
         return best
@@ -180,11 +204,13 @@ class Search:
         """Return by name what fits nearly as well in the place of a cause, and by how much less in each run, (R,)."""
         others = self._without(chosen, index)
         found = {}
-        for name in self._promising(others, PROMISE * (chosen.total - others.total)):
+        for name in self._promising(others, EXCHANGE_PROMISE * (chosen.total - others.total)):
             if name in chosen.names:
                 continue
             rival = self._fit(others, self.kinds[name])
+            more = len(self.problem.values(rival.mechanisms)) - len(self.problem.values(chosen.mechanisms))
             worse = self.problem.session.by_run(chosen.likelihood - rival.likelihood)
+            worse += NATS_A_PARAMETER * more / len(worse)
             error = worse.std() * np.sqrt(len(worse))
             if worse.sum() < max(RIVAL_NATS, RIVAL_ERRORS * error):
                 found[name] = worse

@@ -41,7 +41,7 @@ class Noise:
 
     @classmethod
     def learn(cls, residual: Tensor, way: Tensor, session: Session) -> Self:
-        """Learn from residuals (N, 3) of transitions that the simulation was not fitted to, and simulated ways (N, 3)."""
+        """Learn from residuals (N, 3) of transitions that the simulation was not fitted to, and simulated ways."""
         usual = way.std(dim=0).clamp(min=1e-6)
         follows = torch.as_tensor(session.follows >= 0)
         before = _before(residual, way / usual, session)

@@ -5,9 +5,21 @@ from typing import Self
 
 import numpy as np
 from scipy.spatial import cKDTree
+from torch import Tensor
 
+from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.errors import UserError
-from swarmtwin.gap.base import KNOWN_PARTS, AnyBase, Columns, CrossFitted, LearnedBase, Trial, learned_own_lag, learned_track_mm
+from swarmtwin.gap.base import (
+    KNOWN_PARTS,
+    AnyBase,
+    Columns,
+    CrossFitted,
+    LearnedBase,
+    SimulationBase,
+    Trial,
+    learned_own_lag,
+    learned_track_mm,
+)
 from swarmtwin.gap.ensemble import folds_of, learn
 from swarmtwin.gap.motion import Base
 from swarmtwin.gap.noise import Noise, residual_of
@@ -16,7 +28,7 @@ from swarmtwin.gap.surroundings import Surroundings
 from swarmtwin.robot import Arena, Robot, SituationPart
 from swarmtwin.transitions import Transitions
 
-FOLDS = 8
+FOLDS = 6
 FEWEST_RUNS = 8
 FEWEST_TRANSITIONS = 400
 KNOWN_NEIGHBOURS = 10
@@ -73,16 +85,41 @@ class Reference:
         surroundings = surroundings_of(transitions, arena)
         session = Session.of(transitions, surroundings)
         require_enough(session, "reference")
-        columns = Columns(robot, parts, surroundings)
-        drive = session.drive
-        inputs = columns.of(drive.command, drive.previous_command, drive.pose).numpy()
         fold = folds_of(session.run, FOLDS)
-        ensemble = learn(columns.groups(), inputs, session.way.numpy(), fold, seed)
-        base = LearnedBase(robot, parts, surroundings, ensemble)
-        return cls._with_noise(base, session.within(_learned(surroundings, base, seed)), CrossFitted(base, fold))
+        base = _learned_base(session, parts, session.way, fold, seed)
+        return cls._with_noise(base, session, fold, seed)
 
     @classmethod
-    def _with_noise(cls, base: AnyBase, session: Session, unseen: Base) -> Self:
+    def of_simulation(cls, dynamics: Dynamics, evidence: Transitions, arena: Arena, seed: int) -> Self:
+        """Take a trained simulation, and learn from transitions that it was not fitted to what it gets wrong already.
+
+        Args:
+            dynamics: the simulation.
+            evidence: of the recording it was learned from, or of another one in which nothing is wrong.
+            arena: where that was made.
+            seed: of everything random.
+
+        Raises:
+            UserError: the simulation looks at what a diagnosis cannot give it, or there is too little evidence.
+        """
+        if strange := [part for part in dynamics.parts if part not in KNOWN_PARTS]:
+            raise UserError(
+                f"the simulation looks at {strange[0]}: a diagnosis works on simulations of {', '.join(KNOWN_PARTS)}; "
+                "diagnose with the recording it was learned from instead, reference=DIR"
+            )
+        session = Session.of(evidence, surroundings_of(evidence, arena))
+        require_enough(session, "simulation's evidence: the held-out part of its")
+        drive = session.drive
+        alone = SimulationBase(dynamics, None).way(drive.command, drive.previous_command, drive.pose)
+        fold = folds_of(session.run, FOLDS)
+        parts = tuple(part for part in KNOWN_PARTS if part in (*dynamics.parts, "previous_command"))
+        correction = _learned_base(session, parts, residual_of(session, alone), fold, seed)
+        return cls._with_noise(SimulationBase(dynamics, correction), session, fold, seed)
+
+    @classmethod
+    def _with_noise(cls, base: AnyBase, session: Session, fold: np.ndarray, seed: int) -> Self:
+        session = session.within(_learned(session.drive.surroundings, base, seed))
+        unseen = CrossFitted(base, fold)
         drive = session.drive
         way = unseen.way(drive.command, drive.previous_command, drive.pose)
         noise = Noise.learn(residual_of(session, way), way, session)
@@ -107,6 +144,17 @@ class Reference:
         return covered
 
 
+def _learned_base(
+    session: Session, parts: tuple[SituationPart, ...], way: Tensor, fold: np.ndarray, seed: int
+) -> LearnedBase:
+    """Learn ways (N, 3) from the parts of a session's situations."""
+    drive = session.drive
+    columns = Columns(drive.robot, parts, drive.surroundings)
+    inputs = columns.of(drive.command, drive.previous_command, drive.pose).numpy()
+    ensemble = learn(columns.groups(), inputs, way.numpy(), fold, seed)
+    return LearnedBase(drive.robot, parts, drive.surroundings, ensemble)
+
+
 def _learned(surroundings: Surroundings, base: AnyBase, seed: int) -> Surroundings:
     trial = Trial.draw(base.robot, seed)
     known = {"track_mm": learned_track_mm(base, trial), "own_lag": learned_own_lag(base, trial)}
@@ -119,13 +167,15 @@ def surroundings_of(transitions: Transitions, arena: Arena) -> Surroundings:
     return Surroundings(arena_mm=arena, session_s=max(lasted_s, transitions.robot.period_s))
 
 
-def require_enough(session: Session, what: str) -> None:
+def require_enough(session: Session, what: str, remark: str = "") -> None:
     """Refuse a session from which nothing can be concluded.
 
     Raises:
         UserError: too few runs or transitions, or commands that never change.
     """
-    found = f"the {what} recording has {session.runs} runs with {len(session)} transitions that follow another one"
+    found = (
+        f"the {what} recording{remark} has {session.runs} runs with {len(session)} transitions that follow another one"
+    )
     if session.runs < FEWEST_RUNS or len(session) < FEWEST_TRANSITIONS:
         raise UserError(
             f"{found}: too few to conclude anything; record at least {FEWEST_RUNS} runs and {FEWEST_TRANSITIONS} such "

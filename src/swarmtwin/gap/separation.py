@@ -9,7 +9,7 @@ from swarmtwin.dynamics.twist import displacement_of, twist_of
 from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.diagnosis import NextRecording
 from swarmtwin.gap.mechanism import Drive, Mechanism
-from swarmtwin.gap.motion import mean_displacement
+from swarmtwin.gap.motion import likeliest_displacement
 from swarmtwin.gap.noise import Noise
 from swarmtwin.gap.surroundings import Surroundings
 from swarmtwin.geometry import compose
@@ -44,11 +44,18 @@ def separating_drive(
     assert best is not None
     a_run = most * STEPS / len(best)
     runs = int(np.clip(np.ceil(ENOUGH_NATS / max(a_run, 1e-3)), 8, MOST_RUNS))
-    names = tuple(next(one.name for one in these if one.name not in {o.name for o in others})
-                  for these, others in ((named, rival), (rival, named)))
+    names = tuple(
+        next(one.name for one in these if one.name not in {o.name for o in others})
+        for these, others in ((named, rival), (rival, named))
+    )
     command_line = f"swarmtwin record robot={robot.name} drive={DRIVE_FILE} runs={runs} steps={STEPS} output=DIR"
     plan = NextRecording(
-        separates=names, drive=DRIVE_FILE, runs=runs, steps=STEPS, expected_nats=float(a_run * runs), command=command_line
+        separates=names,
+        drive=DRIVE_FILE,
+        runs=runs,
+        steps=STEPS,
+        expected_nats=float(a_run * runs),
+        command=command_line,
     )
     return plan, best
 
@@ -73,7 +80,7 @@ def _expected_nats(
     command: np.ndarray,
 ) -> float:
     drive = _driven(base, surroundings, command)
-    ways = [twist_of(mean_displacement(base, mechanisms, drive)) for mechanisms in explanations]
+    ways = [twist_of(likeliest_displacement(base, mechanisms, drive)) for mechanisms in explanations]
     spread = (
         torch.cat([torch.ones(len(command), 1), (ways[0] / noise.usual).abs(), (ways[0] / noise.usual) ** 2], dim=-1)
         @ noise.log_spread[:7]

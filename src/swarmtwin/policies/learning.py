@@ -13,8 +13,8 @@ from pydantic import Field
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from swarmtwin.dynamics.store import load_dynamics
 from swarmtwin.errors import UserError
+from swarmtwin.gap.store import load_dynamics
 from swarmtwin.policies.algorithm import AlgorithmConfig
 from swarmtwin.policies.chances import borrowed_chances
 from swarmtwin.policies.checkpoint import (

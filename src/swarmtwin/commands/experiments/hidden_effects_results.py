@@ -39,7 +39,8 @@ class Gained(StrictModel):
         after_mm: of the extended one.
         least_mm: of the stand-in's exact mean displacement.
         share: of the squared error that the effect had brought, the part that is gone again; null where it had brought
-            next to nothing.
+            next to nothing. Squared, which an exact mean makes least: where commands are lost a prediction of the
+            likeliest motion earns none of it.
         share_to_floor: likewise, of all squared error above that of the exact mean, also what the simulation erred
             before the effect.
     """

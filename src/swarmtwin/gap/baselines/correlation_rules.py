@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from swarmtwin.gap.motion import mean_displacement
+from swarmtwin.gap.motion import alternatives
 from swarmtwin.gap.reference import Reference
 from swarmtwin.geometry import rotate, wrap_angle
 from swarmtwin.robot import Arena
@@ -29,7 +29,8 @@ def suggested_cause(reference: Reference, transitions: Transitions, simulated: n
         arena: where they were measured.
     """
     known = reference.session
-    usual = _residual(known.transitions, mean_displacement(reference.unseen, [], known.drive).numpy()).std(axis=0)
+    (unseen,) = alternatives(reference.unseen, [], known.drive)
+    usual = _residual(known.transitions, unseen.displacement.numpy()).std(axis=0)
     residual = _residual(transitions, simulated) / usual
     _, run = np.unique(transitions.run, return_inverse=True)
     strongest: dict[str, float] = {}

@@ -4,13 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from swarmtwin.dynamics.twist import twist_of
 from swarmtwin.gap.catalogue import offered
 from swarmtwin.gap.fitting import Problem
 from swarmtwin.gap.mechanism import Mechanism, Quantity
-from swarmtwin.gap.motion import mean_displacement
+from swarmtwin.gap.motion import alternatives
 from swarmtwin.gap.noise import residual_of
 from swarmtwin.gap.reference import Reference, surroundings_of
 from swarmtwin.gap.session import Session
@@ -100,7 +101,9 @@ class _Search:
         """Return standardised residuals (N, 3)."""
         mechanisms = [one for one in self.problem.assembled(self.kinds, values) if not self._does_nothing(one)]
         session = self.problem.session
-        way: Tensor = twist_of(mean_displacement(self.problem.base, mechanisms, session.drive))
+        possible = alternatives(self.problem.base, mechanisms, session.drive)
+        mean = torch.stack([one.probability * one.displacement for one in possible]).sum(dim=0)
+        way: Tensor = twist_of(mean)
         whitened: np.ndarray = self.problem.whitener(residual_of(session, way)).numpy()
         return whitened
 

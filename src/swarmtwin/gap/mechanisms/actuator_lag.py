@@ -19,8 +19,8 @@ STEPS = 8
 class Config(Mechanism):
     """Speeds follow with an additional first-order lag: what is left of the old speed decays with `time_constant_s`.
 
-    Wheels: their speed lags, beyond the lag that they have by themselves, which shows in the base's answer to a change of
-    command; integrated in steps, and what the command before the previous one has left is taken along. Thrust: the
+    Wheels: their speed lags, beyond the lag that they have by themselves, which shows in the base's answer to a change
+    of command; integrated in steps, and what the command before the previous one has left is taken along. Thrust: the
     setting lags, so that for a part of the period something between both commands holds.
     """
 
@@ -45,7 +45,7 @@ class Config(Mechanism):
         if drive.robot.actuation.kind == "wheel":
             return []
         lag = max(self.time_constant_s / drive.robot.period_s, 1e-9)
-        ends = (0.0, 0.5 * lag, lag, 2 * lag, 4 * lag)
+        ends = (0.0, 0.7 * lag, 2 * lag, 5 * lag)
         parts = []
         for start, end in pairwise(min(end, 1.0) for end in ends):
             if end > start:

@@ -23,8 +23,8 @@ from swarmtwin.robot import Robot, SituationPart
 class Config(Mechanism):
     """A gear has play, which is taken up anew after each reversal.
 
-    Of a wheel, the previous command says on which side the play lies; of a fin that beats to and fro, half of the play
-    is missing from its amplitude.
+    Of a wheel, the two commands before say on which side the play lies; of a fin that beats to and fro, half of the
+    play is missing from its amplitude.
 
     Attributes:
         travel_mm: of wheels, at the rim.
@@ -34,7 +34,7 @@ class Config(Mechanism):
     words: ClassVar = "after each reversal {travel_mm}{travel_rad} of travel is lost"
     remedy: ClassVar = "check gears, couplings and set screws for play"
     quantities: ClassVar = {}
-    needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command",)
+    needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     uses_history: ClassVar = True
 
     name: Literal["backlash"] = "backlash"
@@ -71,7 +71,10 @@ class Config(Mechanism):
             return responses
         track_mm = drive.surroundings.track_mm or 1.0
         play = torch.tensor(self.travel_mm, dtype=torch.float64)
-        now, before = wheel_ways(responses.now, track_mm), wheel_ways(responses.before, track_mm)
-        slack = (before + play / 2).clamp(min=0.0).minimum(play)
+        now, before, earlier = (
+            wheel_ways(way, track_mm) for way in (responses.now, responses.before, responses.earlier)
+        )
+        slack = (earlier + play / 2).clamp(min=0.0).minimum(play)
+        slack = (slack + before).clamp(min=0.0).minimum(play)
         taken = (slack + now).clamp(min=0.0).minimum(play)
         return responses._replace(now=way_of_wheels(now - (taken - slack), responses.now, track_mm))

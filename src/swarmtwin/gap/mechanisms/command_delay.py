@@ -12,8 +12,8 @@ from swarmtwin.robot import Robot, SituationPart
 class Config(Mechanism):
     """The command before goes on for `delay_s` after each new one is sent.
 
-    First the motion under the old command, then that under the new one without its last part, for which no time is left:
-    before^(δ/T) ∘ now ∘ settled^(−δ/T). Exact where the actuators settle within a period.
+    First the motion under the old command, then that under the new one without its last part, for which no time is
+    left: before^(δ/T) ∘ now ∘ settled^(−δ/T). Exact where the actuators settle within a period.
     """
 
     words: ClassVar = "commands act {delay_s} late"

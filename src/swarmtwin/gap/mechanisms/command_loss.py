@@ -7,7 +7,7 @@ from swarmtwin.robot import SituationPart
 
 
 class Config(Mechanism):
-    """With `probability` the command is lost and the previous one goes on, or the one before it if that was lost too."""
+    """With `probability` a command is lost and the previous one goes on, or the one before it if that was lost too."""
 
     words: ClassVar = "{probability} of the commands never arrive"
     remedy: ClassVar = "check the radio link: range, interference, broker load"

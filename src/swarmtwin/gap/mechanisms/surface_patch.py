@@ -40,7 +40,7 @@ class Config(Mechanism):
         return {
             "x_mm": Quantity(arena.x[0], arena.x[1], None, "mm", (arena.x[0] + width / 2,), 0.02 * least),
             "y_mm": Quantity(arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), 0.02 * least),
-            "radius_mm": Quantity(0.05 * least, 0.6 * least, None, "mm", (0.22 * least,), 0.02 * least),
+            "radius_mm": Quantity(0.05 * least, 0.45 * least, None, "mm", (0.22 * least,), 0.02 * least),
             "loss": Quantity(-0.6, 0.97, 0.0, "", (0.2,), 0.01),
         }
 

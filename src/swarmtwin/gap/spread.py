@@ -1,14 +1,14 @@
-"""Has only the spread of the motion changed? What the camera adds is told apart by how neighbouring residuals disagree."""
+"""Whether only the spread of the motion changed; what the camera adds shows in how neighbouring residuals disagree."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from swarmtwin.dynamics.twist import twist_of
 from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.fitting import Fit, Problem
-from swarmtwin.gap.motion import Base, mean_displacement
-from swarmtwin.dynamics.twist import twist_of
+from swarmtwin.gap.motion import Base, likeliest_displacement
 from swarmtwin.gap.noise import residual_of
 from swarmtwin.geometry import rotate
 
@@ -17,6 +17,7 @@ AXES = (0, 2)
 LARGEST_Z = 6.0
 SURE_ERRORS = 4.5
 LEAST_CHANGE = 0.04
+LEAST_CHANGE_BESIDE = 0.35
 LARGEST_DISAGREEMENT = 0.25
 
 
@@ -30,6 +31,7 @@ class Spread:
         high: end of the 95 % interval.
         errors: how many standard errors the log of the factor is from none.
         agrees: whether motion ahead and turning say the same.
+        least: the smallest change that counts: beside other causes, whose mechanisms are never exact, a larger one.
     """
 
     factor: float
@@ -37,11 +39,12 @@ class Spread:
     high: float
     errors: float
     agrees: bool
+    least: float
 
     @property
     def is_news(self) -> bool:
         """Whether it is sure, large enough to matter, and the same ahead and turning."""
-        return self.agrees and abs(self.errors) > SURE_ERRORS and abs(self.factor - 1) > LEAST_CHANGE
+        return self.agrees and abs(self.errors) > SURE_ERRORS and abs(self.factor - 1) > self.least
 
 
 def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rng: np.random.Generator) -> Spread:
@@ -63,7 +66,7 @@ def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rn
     drawn = _ratios(here, rng, DRAWS)[:, :-1] / _ratios(there, rng, DRAWS)[:, :-1]
     value = (here.sum(axis=0)[:-1] / here.sum(axis=0)[-1]) / (there.sum(axis=0)[:-1] / there.sum(axis=0)[-1])
     if (value <= 0).any():
-        return Spread(1.0, 1.0, 1.0, 0.0, False)
+        return Spread(1.0, 1.0, 1.0, 0.0, False, LEAST_CHANGE)
     logs = 0.5 * np.log(np.maximum(drawn, 1e-3))
     single = 0.5 * np.log(value)
     weight = 1 / np.maximum(logs.var(axis=0), 1e-9)
@@ -72,15 +75,16 @@ def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rn
     spread = float(errors.std())
     apart = abs(float(single[0] - single[1]))
     agrees = apart < max(LARGEST_DISAGREEMENT * abs(log), 3 * float((logs[:, 0] - logs[:, 1]).std()))
+    least = LEAST_CHANGE_BESIDE if fit.mechanisms else LEAST_CHANGE
     low, high = np.exp(log + np.quantile(errors - errors.mean(), [0.025, 0.975]))
-    return Spread(float(np.exp(log)), float(low), float(high), log / max(spread, 1e-9), agrees)
+    return Spread(float(np.exp(log)), float(low), float(high), log / max(spread, 1e-9), agrees, least)
 
 
 def _motion_squares(problem: Problem, fit: Fit | None, base: Base) -> np.ndarray:
     """Return (R, 3): sums over each run of the motion's squares ahead and turning, and how many went into them."""
     session = problem.session
     mechanisms = fit.mechanisms if fit else ()
-    way = twist_of(mean_displacement(base, mechanisms, session.drive))
+    way = twist_of(likeliest_displacement(base, mechanisms, session.drive))
     spread = problem.noise.whitener(way, session).spread
     scaled = (residual_of(session, way) / spread).clamp(-LARGEST_Z, LARGEST_Z)
     follows = session.follows >= 0
@@ -96,5 +100,3 @@ def _ratios(by_run: np.ndarray, rng: np.random.Generator, draws: int) -> np.ndar
     sums = weights @ by_run
     ratios: np.ndarray = sums / np.maximum(sums[:, -1:], 1)
     return ratios
-
-
