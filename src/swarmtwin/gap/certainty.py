@@ -73,6 +73,8 @@ def certainty(problem: Problem, base: AnyBase, fit: Fit) -> Certainty:
     """Examine fitted parameters, by their influence on the likelihood of each run."""
     kinds = fit.kinds
     values = problem.values(fit.mechanisms)
+    if not len(values):
+        return Certainty(values, np.zeros((0, 0)), np.zeros((problem.session.runs, 0)), np.zeros((0, 0)))
     if any(kind.overrides("arriving") for kind in kinds):
         scores = _scores(problem, fit, values)
         information = scores.T @ scores

@@ -29,19 +29,22 @@ class Examined:
         residual: (N, 3) standardised.
         size: (N, 3) simulated ways over usual ones.
         members: (M, N, 3) what the simulation's members would change of the residual; M may be 0.
+        weight: (N,) how much each transition counts.
     """
 
     session: Session
     residual: np.ndarray
     size: np.ndarray
     members: np.ndarray
+    weight: np.ndarray
 
     @classmethod
-    def of(cls, problem: Problem, fit: Fit, base: AnyBase | None) -> "Examined":
+    def of(cls, problem: Problem, fit: Fit, base: AnyBase | None, weight: np.ndarray | None = None) -> "Examined":
         """Take the residuals of a fit."""
         size = problem.whitener.size.numpy()
         clipped = np.clip(fit.residual, -LARGEST_Z, LARGEST_Z)
-        return cls(problem.session, clipped, size, member_changes(problem, base))
+        weight = np.ones(len(clipped)) if weight is None else weight
+        return cls(problem.session, clipped, size, member_changes(problem, base), weight)
 
 
 def member_changes(problem: Problem, base: AnyBase | None) -> np.ndarray:
@@ -70,11 +73,23 @@ def dependences(measured: Examined, known: Examined, seed: int) -> list[Dependen
     variance does not matter and is not found.
     """
     rng = np.random.default_rng(seed)
-    parts = _functions(measured.session)
-    known_parts = _functions(known.session)
-    tests = [_tested(part, functions, known_parts.get(part), measured, known, rng) for part, functions in parts.items()]
+    tests = _each_part(measured, known, rng)
+    tests = [_with_runs(test, measured) if test.part == "time" else test for test in tests]
     tests += _shape_tests(measured, known, rng)
     return _controlled(tests)
+
+
+def tested_parts(measured: Examined, known: Examined, rng: np.random.Generator) -> list[Dependence]:
+    """Test the parts of the situation alone, false discoveries controlled over them."""
+    return _controlled(_each_part(measured, known, rng))
+
+
+def _each_part(measured: Examined, known: Examined, rng: np.random.Generator) -> list[Dependence]:
+    known_parts = _functions(known.session)
+    return [
+        _tested(part, functions, known_parts.get(part), measured, known, rng)
+        for part, functions in _functions(measured.session).items()
+    ]
 
 
 def _functions(session: Session) -> dict[str, np.ndarray]:
@@ -94,7 +109,7 @@ def _functions(session: Session) -> dict[str, np.ndarray]:
         "heading": np.stack([f(k * heading) for k in (1, 2, 3, 4) for f in (np.cos, np.sin)], axis=1),
         "position": np.concatenate([_polynomials(place), _bumps(place)], axis=1),
         "wall_distance": np.stack([np.exp(-wall_mm / (share * least_mm)) for share in (0.05, 0.15)], axis=1),
-        "time": np.stack([time, time**2, time**3, np.sign(time), *_waves(time)], axis=1),
+        "time": np.stack([*_since_start(session), time, time**2, time**3, np.sign(time), *_waves(time)], axis=1),
     }
     duration = columns[:, 2 * count + 5]
     if duration.std() > 0.02:
@@ -120,6 +135,15 @@ def _bumps(place: np.ndarray) -> np.ndarray:
     distance2 = ((place[:, None] - centres) ** 2).sum(axis=-1)
     bumps: np.ndarray = np.exp(-distance2 / (2 * 0.3**2))
     return bumps
+
+
+def _since_start(session: Session) -> list[np.ndarray]:
+    """Return functions of the time since each run began."""
+    elapsed_s, period_s = session.transitions.time_s, session.drive.robot.period_s
+    began_s = np.full(session.runs, np.inf)
+    np.minimum.at(began_s, session.run, elapsed_s)
+    periods = (elapsed_s - began_s[session.run]) / period_s
+    return [np.exp(-periods / 3), np.exp(-periods / 12)]
 
 
 def _waves(time: np.ndarray) -> list[np.ndarray]:
@@ -151,24 +175,23 @@ def _tested(
     usual = float(drawn.mean())
     shape = usual**2 / max(float(drawn.var()), 1e-12)
     p_value = float(stats.gamma.sf(statistic, shape, scale=usual / shape))
-    explained = max(statistic - usual, 0.0) / (3 * len(measured.residual))
+    explained = max(statistic - usual, 0.0) / max(float((measured.residual**2).sum()), 1e-9)
     return Dependence(part=part, statistic=statistic, p_value=p_value, explained=explained, found=False)
 
 
 def _trimmed(regressors: np.ndarray, runs: int) -> np.ndarray:
-    return regressors[:, : max(2, min(regressors.shape[1], runs // 2))]
+    return regressors[:, : max(2, min(regressors.shape[1], runs // 3))]
 
 
 def _coefficients(
     regressors: np.ndarray, examined: Examined, axis: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return coefficients (q,), coefficients by chance (draws, q), and their information (q, q)."""
-    information = regressors.T @ regressors
+    weighted = regressors * examined.weight[:, None]
+    information = regressors.T @ weighted
     inverse = np.linalg.pinv(information + 1e-3 * np.trace(information) / len(information) * np.eye(len(information)))
-    by_run = examined.session.by_run(regressors * examined.residual[:, [axis]])
+    by_run = examined.session.by_run(weighted * examined.residual[:, [axis]])
     value = inverse @ by_run.sum(axis=0)
-    left = examined.residual[:, axis] - regressors @ value
-    by_run = examined.session.by_run(regressors * left[:, None])
     signs = rng.choice([-1.0, 1.0], (DRAWS, len(by_run)))
     chances = signs @ by_run @ inverse
     if len(examined.members) > 1:
@@ -180,15 +203,40 @@ def _coefficients(
     return value, chances, information
 
 
+def _with_runs(test: Dependence, examined: Examined) -> Dependence:
+    """Join to the test of time whether runs differ: both halves of a run err in the same way, ahead or turning."""
+    session = examined.session
+    rank = np.arange(len(session)) - np.searchsorted(session.run, session.run)
+    length = np.bincount(session.run)[session.run]
+    later = rank * 2 >= length
+    products, shared = np.zeros(session.runs), 0.0
+    for axis in (0, 2):
+        size = examined.size[:, axis]
+        for regressor in (np.ones(len(size)), size):
+            slopes, weights = (
+                [session.by_run(values * (half == later)) for half in (False, True)]
+                for values in (regressor * examined.residual[:, axis], regressor**2)
+            )
+            product = slopes[0] * slopes[1] / np.sqrt(np.maximum(weights[0] * weights[1], 1e-9))
+            products += product
+            shared += float(product.sum())
+    deviation = float(products.sum() / max(np.sqrt((products**2).sum()), 1e-12))
+    p_value = float(stats.norm.sf(deviation))
+    explained = max(shared, 0.0) * 2 / max(float((examined.residual**2).sum()), 1e-9)
+    if 2 * min(p_value, test.p_value) == 2 * test.p_value:
+        return test.model_copy(update={"p_value": min(1.0, 2 * test.p_value)})
+    best = max(explained, test.explained)
+    return test.model_copy(update={"statistic": deviation, "p_value": min(1.0, 2 * p_value), "explained": best})
+
+
 def _shape_tests(measured: Examined, known: Examined, rng: np.random.Generator) -> list[Dependence]:
     """Compare spread and tails with the reference's."""
     found = []
     for part, of in (("spread", lambda z: np.minimum(z**2, FAR_Z**2)), ("tails", lambda z: np.abs(z) > FAR_Z)):
         figures = []
         for examined in (measured, known):
-            by_run = examined.session.by_run(
-                np.column_stack([of(examined.residual).mean(axis=1), np.ones(len(examined.residual))])
-            )
+            counted = np.column_stack([of(examined.residual).mean(axis=1), np.ones(len(examined.residual))])
+            by_run = examined.session.by_run(counted * examined.weight[:, None])
             weights = rng.multinomial(len(by_run), np.full(len(by_run), 1 / len(by_run)), DRAWS)
             resampled = weights @ by_run
             figures.append((by_run[:, 0].sum() / by_run[:, 1].sum(), (resampled[:, 0] / resampled[:, 1]).std()))

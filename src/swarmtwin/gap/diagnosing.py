@@ -130,7 +130,7 @@ def _standardised(problem: Problem, extended: ExtendedDynamics) -> np.ndarray:
 
 def _next_recording(examination: Examination, found: Found) -> tuple[NextRecording | None, np.ndarray | None]:
     """Plan the drive that separates the first cause that has rivals from the nearest of them."""
-    for index, rivals in enumerate(found.named.rivals if found.mechanisms else ()):
+    for index, rivals in enumerate(found.named.rivals if found.are_named else ()):
         if rivals:
             nearest = min(rivals, key=lambda name: float(rivals[name].sum()))
             others = tuple(one for number, one in enumerate(found.mechanisms) if number != index)

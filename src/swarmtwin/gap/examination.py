@@ -11,6 +11,7 @@ from swarmtwin.gap.dependence import Examined, dependences
 from swarmtwin.gap.diagnosis import Dependence, Verdict
 from swarmtwin.gap.fitting import Fit, Kind, Problem
 from swarmtwin.gap.learned import LearnedResidual
+from swarmtwin.gap.likeness import likeness
 from swarmtwin.gap.mechanism import Mechanism
 from swarmtwin.gap.mechanisms import noise_change
 from swarmtwin.gap.motion import likeliest_displacement
@@ -22,8 +23,10 @@ from swarmtwin.gap.spread import Spread, compare_spread
 
 MOST_SEARCHED = 6000
 LEAST_EXPLAINED_SHARE = 0.7
-MOST_LEFT_OVER = 0.15
+MOST_LEFT_OVER = 0.06
 LEAST_LEFT_OVER = 0.01
+MOST_LEFT_BESIDE = 0.1
+LARGEST_EXCESS = 0.4
 LARGEST_SQUARE = 36.0
 OF_SHAPE = ("spread", "tails")
 
@@ -66,10 +69,29 @@ class Found:
         return bool(self.named.fit.mechanisms) and self.share >= LEAST_EXPLAINED_SHARE
 
     @property
+    def left(self) -> float:
+        """The largest part of the variance that goes with anything after the causes are taken into account."""
+        return max([test.explained for test in self.after if test.found and test.part not in OF_SHAPE], default=0.0)
+
+    @property
+    def excess(self) -> float:
+        """How much more variance is left than the reference has, as a share of it, where that is not a mere change."""
+        if self.spread:
+            return 0.0
+        return max([test.explained for test in self.after if test.found and test.part == "spread"], default=0.0)
+
+    @property
     def nothing_left(self) -> bool:
         """Whether what the causes leave is small beside what they explain."""
-        left = max([test.explained for test in self.after if test.found and test.part not in OF_SHAPE], default=0.0)
-        return left < max(MOST_LEFT_OVER * self.explained, LEAST_LEFT_OVER)
+        small = self.left < max(MOST_LEFT_OVER * self.explained, LEAST_LEFT_OVER)
+        return small and self.excess < LARGEST_EXCESS
+
+    @property
+    def are_named(self) -> bool:
+        """Whether the causes are told: where much is left, a name may stand for what only looks like it."""
+        several = len(self.named.fit.mechanisms) > 1
+        beside = several and self.left < MOST_LEFT_BESIDE * self.explained and self.excess < LARGEST_EXCESS
+        return self.causes_stand and (self.nothing_left or beside)
 
     @property
     def verdict(self) -> Verdict:
@@ -93,7 +115,7 @@ class Examination:
         self.reference, self.seed, self.report = reference, seed, report
         self.rng = np.random.default_rng(seed)
         self.base = reference.base
-        self.problem = Problem(self.base, reference.noise, session)
+        self.problem = Problem(self.base, reference.noise, session, reference.vehicles)
         self.known = Problem(reference.unseen, reference.noise, reference.session)
         self.kinds: dict[str, Kind] = {
             name: kind
@@ -101,7 +123,8 @@ class Examination:
             if kind is not noise_change.Config
         }
         self.nothing = self.problem.evaluate([])
-        self._known_examined = Examined.of(self.known, self.known.evaluate([]), None)
+        weight = likeness(session, reference.session)
+        self._known_examined = Examined.of(self.known, self.known.evaluate([]), None, weight)
 
     def run(self) -> Found:
         """Test, name, test again, and learn what is left."""
@@ -141,7 +164,8 @@ class Examination:
         if len(session) <= MOST_SEARCHED:
             return Search(self.problem, self.known, self.base, self.kinds, self.report).run()
         every = -(-len(session) // MOST_SEARCHED)
-        smaller = Problem(self.base, self.reference.noise, session.where(session.run % every == 0))
+        part = session.where(session.run % every == 0)
+        smaller = Problem(self.base, self.reference.noise, part, self.reference.vehicles)
         named = Search(smaller, self.known, self.base, self.kinds, self.report).run()
         return refitted(named, self.problem, self.base)
 

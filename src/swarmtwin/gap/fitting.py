@@ -14,6 +14,7 @@ from swarmtwin.gap.mechanism import Drive, Mechanism, Places, Quantity
 from swarmtwin.gap.motion import Alternative, Base, Remembered, alternatives
 from swarmtwin.gap.noise import Noise, residual_of
 from swarmtwin.gap.session import Session
+from swarmtwin.gap.units import UnitDifferences
 from swarmtwin.geometry import compose
 
 Kind = type[Mechanism]
@@ -61,7 +62,7 @@ class Fit:
 class Problem:
     """A session, the simulation and its noise: says how likely what was measured is, given mechanisms."""
 
-    def __init__(self, base: Base, noise: Noise, session: Session) -> None:
+    def __init__(self, base: Base, noise: Noise, session: Session, known_vehicles: tuple[str, ...] = ()) -> None:
         self.session = session
         self.noise = noise
         self.robot = base.robot
@@ -71,6 +72,8 @@ class Problem:
         self.base.keep(drive.command, drive.previous_command, drive.earlier_command, drive.pose)
         self.simulated = self.base.way(drive.command, drive.previous_command, drive.pose)
         self.whitener = noise.whitener(self.simulated, session)
+        vehicles = known_vehicles or session.transitions.vehicles
+        self.units = UnitDifferences(self.base, self.whitener, session, self.simulated, vehicles)
         self.freedom = noise.degrees_of_freedom
         self._offset = -self.whitener.spread.log().sum(dim=-1).numpy()
 
@@ -78,24 +81,28 @@ class Problem:
         """Return standardised residuals (N, 3): of the likeliest alternative where there are several."""
         found = alternatives(self.base, mechanisms, self.session.drive)
         raw = [residual_of(self.session, twist_of(one.displacement)) for one in found]
-        return self._likeliest(found, raw)[1]
+        residual = self._likeliest(found, raw)[1]
+        return torch.as_tensor(self.units.free(residual.numpy())[0]) if self.units.count else residual
 
     def evaluate(self, mechanisms: Sequence[Mechanism]) -> Fit:
         """Return how likely the session is with mechanisms as they are."""
         found = alternatives(self.base, mechanisms, self.session.drive)
         raw = [residual_of(self.session, twist_of(one.displacement)) for one in found]
-        earlier, best = self._likeliest(found, raw)
+        earlier, whole = self._likeliest(found, raw)
+        freed, price = self.units.free(whole.numpy())
+        best = torch.as_tensor(freed)
+        apart = (best - whole).numpy()
         scale = self._scale(best.numpy() if len(found) == 1 else np.clip(best.numpy(), -OUTLIER_Z, OUTLIER_Z))
         if len(found) == 1:
             density = self._density(best.numpy() / scale)
         else:
-            whitened = [self.whitener(one, earlier).numpy() / scale for one in raw]
+            whitened = [(self.whitener(one, earlier).numpy() + apart) / scale for one in raw]
             logs = [
                 np.log(max(one.probability, 1e-12)) + self._density(values)
                 for one, values in zip(found, whitened, strict=True)
             ]
             density = np.logaddexp.reduce(logs, axis=0)
-        likelihood = density + self._offset - np.log(scale).sum()
+        likelihood = density + self._offset - np.log(scale).sum() - price / len(density)
         return Fit(tuple(mechanisms), likelihood, best.numpy(), scale)
 
     def _likeliest(self, found: Sequence[Alternative], raw: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
@@ -254,7 +261,7 @@ class Problem:
             moved[index] += step[index] if values[index] + step[index] <= high[index] else -step[index]
             there = self.residual(self.assembled(kinds, moved)).numpy()
             columns.append((there - here) / (moved[index] - values[index]))
-        return np.stack(columns, axis=-1)
+        return np.stack(columns, axis=-1) if columns else np.empty((*here.shape, 0))
 
     def jacobian(self, kinds: Sequence[Kind], values: np.ndarray) -> np.ndarray:
         """Return (N, 3, P) how standardised residuals change with the parameters, by central differences."""
@@ -268,7 +275,7 @@ class Problem:
                 ends.append((moved[index], self.residual(self.assembled(kinds, moved)).numpy()))
             (ahead, first), (back, second) = ends
             columns.append((first - second) / max(ahead - back, 1e-12))
-        return np.stack(columns, axis=-1)
+        return np.stack(columns, axis=-1) if columns else np.empty((len(self.session), 3, 0))
 
     def places(self, fit: Fit) -> Places:
         """Return where the grip seems to be another one than a fit says."""

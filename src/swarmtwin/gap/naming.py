@@ -8,6 +8,7 @@ import numpy as np
 from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.certainty import Certainty, certainty
 from swarmtwin.gap.fitting import Fit, Kind, Problem, Promise
+from swarmtwin.gap.likeness import likeness
 
 MOST_CAUSES = 4
 FEWEST_NATS = 15.0
@@ -19,7 +20,9 @@ NATS_A_PARAMETER = 4.0
 ALIKE_SHARE = 0.3
 LEAST_SHARE = 0.04
 RIVAL_ERRORS = 2.5
-SEARCH_NATS = 4.0
+SEARCH_NATS = 8.0
+LEAST_ERRORS, FEWER_ERRORS = 4.0, 2.3
+LARGE = 3.0
 PROMISE = 0.35
 EXCHANGE_PROMISE = 0.5
 
@@ -65,8 +68,8 @@ class Search:
         self._promises: dict[frozenset[str], dict[str, Promise]] = {}
         self._changes: dict[str, np.ndarray] = {}
         self._nothing = problem.evaluate([])
-        self._known_before = known.evaluate([]).total
-        self._share = len(problem.session) / len(known.session)
+        self._known_before = known.evaluate([]).likelihood
+        self._like_known = likeness(problem.session, known.session)
         self.least = max(FEWEST_NATS, FEWEST_NATS_A_TRANSITION * len(problem.session))
 
     def run(self) -> Named:
@@ -193,12 +196,16 @@ class Search:
         """Return the nats that a fit is better by than a smaller one, as far as that is news and not chance."""
         gained = larger.total - smaller.total
         added = [mechanism for mechanism in larger.mechanisms if mechanism.name not in smaller.names]
-        already = self.known.evaluate(added).total - self._known_before
+        already = float((self.known.evaluate(added).likelihood - self._known_before) @ self._like_known)
         penalty = certainty(self.problem, self.base, larger).penalty
         if smaller.mechanisms:
             penalty -= certainty(self.problem, self.base, smaller).penalty
         searched = SEARCH_NATS * sum(not mechanism.is_smooth for mechanism in added)
-        return gained - self._share * max(already, 0.0) - PENALTY_WEIGHT * max(penalty, 0.0) - searched
+        by_run = self.problem.session.by_run(larger.likelihood - smaller.likelihood)
+        errors = by_run.sum() / max(by_run.std() * np.sqrt(len(by_run)), 1e-9)
+        if errors < (LEAST_ERRORS if gained < LARGE * self.least else FEWER_ERRORS):
+            return -np.inf
+        return gained - max(already, 0.0) - PENALTY_WEIGHT * max(penalty, 0.0) - searched
 
     def _rivals(self, chosen: Fit, index: int) -> dict[str, np.ndarray]:
         """Return by name what fits nearly as well in the place of a cause, and by how much less in each run, (R,)."""

@@ -7,7 +7,9 @@ import torch
 
 from swarmtwin.dynamics.twist import twist_of
 from swarmtwin.gap.base import AnyBase
+from swarmtwin.gap.dependence import Examined, tested_parts
 from swarmtwin.gap.fitting import Fit, Problem
+from swarmtwin.gap.likeness import likeness
 from swarmtwin.gap.motion import Base, likeliest_displacement
 from swarmtwin.gap.noise import residual_of
 from swarmtwin.geometry import rotate
@@ -18,7 +20,10 @@ LARGEST_Z = 6.0
 SURE_ERRORS = 4.5
 LEAST_CHANGE = 0.04
 LEAST_CHANGE_BESIDE = 0.35
-LARGEST_DISAGREEMENT = 0.25
+LEAST_CHANGE_OF_OTHERS = 0.3
+LARGEST_DISAGREEMENT = 0.6
+LARGEST_SQUARE = 12.0
+LEAST_UNEVEN = 0.01
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,7 @@ class Spread:
         high: end of the 95 % interval.
         errors: how many standard errors the log of the factor is from none.
         agrees: whether motion ahead and turning say the same.
+        is_even: whether it is the same whatever the command, the place and the time.
         least: the smallest change that counts: beside other causes, whose mechanisms are never exact, a larger one.
     """
 
@@ -39,12 +45,13 @@ class Spread:
     high: float
     errors: float
     agrees: bool
+    is_even: bool
     least: float
 
     @property
     def is_news(self) -> bool:
         """Whether it is sure, large enough to matter, and the same ahead and turning."""
-        return self.agrees and abs(self.errors) > SURE_ERRORS and abs(self.factor - 1) > self.least
+        return self.agrees and self.is_even and abs(self.errors) > SURE_ERRORS and abs(self.factor - 1) > self.least
 
 
 def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rng: np.random.Generator) -> Spread:
@@ -62,11 +69,12 @@ def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rn
         finally:
             base.member = None
     here = np.mean(sums, axis=0)
-    there = _motion_squares(known, None, known.base)
+    weight_of_known = likeness(problem.session, known.session)
+    there = _motion_squares(known, None, known.base, weight_of_known)
     drawn = _ratios(here, rng, DRAWS)[:, :-1] / _ratios(there, rng, DRAWS)[:, :-1]
     value = (here.sum(axis=0)[:-1] / here.sum(axis=0)[-1]) / (there.sum(axis=0)[:-1] / there.sum(axis=0)[-1])
     if (value <= 0).any():
-        return Spread(1.0, 1.0, 1.0, 0.0, False, LEAST_CHANGE)
+        return Spread(1.0, 1.0, 1.0, 0.0, False, False, LEAST_CHANGE)
     logs = 0.5 * np.log(np.maximum(drawn, 1e-3))
     single = 0.5 * np.log(value)
     weight = 1 / np.maximum(logs.var(axis=0), 1e-9)
@@ -75,13 +83,52 @@ def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rn
     spread = float(errors.std())
     apart = abs(float(single[0] - single[1]))
     agrees = apart < max(LARGEST_DISAGREEMENT * abs(log), 3 * float((logs[:, 0] - logs[:, 1]).std()))
-    least = LEAST_CHANGE_BESIDE if fit.mechanisms else LEAST_CHANGE
+    least = LEAST_CHANGE_OF_OTHERS if problem.units.count else LEAST_CHANGE
+    least = max(least, LEAST_CHANGE_BESIDE) if fit.mechanisms else least
     low, high = np.exp(log + np.quantile(errors - errors.mean(), [0.025, 0.975]))
-    return Spread(float(np.exp(log)), float(low), float(high), log / max(spread, 1e-9), agrees, least)
+    factor = float(np.exp(log))
+    even = _is_even(problem, fit, known, factor, weight_of_known, rng)
+    return Spread(factor, float(low), float(high), log / max(spread, 1e-9), agrees, even, least)
 
 
-def _motion_squares(problem: Problem, fit: Fit | None, base: Base) -> np.ndarray:
-    """Return (R, 3): sums over each run of the motion's squares ahead and turning, and how many went into them."""
+def _is_even(
+    problem: Problem, fit: Fit, known: Problem, factor: float, weight: np.ndarray, rng: np.random.Generator
+) -> bool:
+    """Say whether squares, over what they would be with `factor`, depend on nothing that the reference's do not."""
+    camera = _camera_share(known)
+    here = _squares_over_expected(problem, fit, factor, camera, np.ones(len(problem.session)))
+    there = _squares_over_expected(known, None, 1.0, camera, weight)
+    return not any(test.found for test in tested_parts(here, there, rng) if test.explained > LEAST_UNEVEN)
+
+
+def _camera_share(known: Problem) -> np.ndarray:
+    """Return (3,) the share of the reference's usual variance that is the camera's: neighbours disagree by it."""
+    session = known.session
+    way = twist_of(likeliest_displacement(known.base, (), session.drive))
+    raw = residual_of(session, way)
+    follows = session.follows >= 0
+    earlier = raw[np.maximum(session.follows, 0)]
+    turned = torch.cat([rotate(earlier[:, :2], -session.turned), earlier[:, 2:]], dim=-1)
+    shared = -(raw * turned).numpy()[follows].mean(axis=0)
+    return np.clip(2 * shared, 0.0, None)
+
+
+def _squares_over_expected(
+    problem: Problem, fit: Fit | None, factor: float, camera: np.ndarray, weight: np.ndarray
+) -> Examined:
+    session = problem.session
+    way = twist_of(likeliest_displacement(problem.base, fit.mechanisms if fit else (), session.drive))
+    variance = problem.noise.whitener(way, session).spread.numpy() ** 2
+    expected = variance + (factor**2 - 1) * np.maximum(variance - camera, 0.1 * variance)
+    squares = np.minimum(residual_of(session, way).numpy() ** 2 / expected, LARGEST_SQUARE)
+    level = squares.mean(axis=0)
+    deviation = (squares - level) / squares.std(axis=0)
+    deviation[:, 1] = 0.0
+    return Examined(session, deviation, np.zeros_like(deviation), np.empty((0, *deviation.shape)), weight)
+
+
+def _motion_squares(problem: Problem, fit: Fit | None, base: Base, weight: np.ndarray | None = None) -> np.ndarray:
+    """Return (R, 3): sums over each run of the motion's squares ahead and turning, and of the weights (N,)."""
     session = problem.session
     mechanisms = fit.mechanisms if fit else ()
     way = twist_of(likeliest_displacement(base, mechanisms, session.drive))
@@ -91,8 +138,8 @@ def _motion_squares(problem: Problem, fit: Fit | None, base: Base) -> np.ndarray
     earlier = scaled[np.maximum(session.follows, 0)]
     turned = torch.cat([rotate(earlier[:, :2], -session.turned), earlier[:, 2:]], dim=-1)
     squares = (scaled**2 + earlier**2) / 2 + 2 * scaled * turned
-    kept = squares[:, AXES].numpy() * follows[:, None]
-    return session.by_run(np.column_stack([kept, follows.astype(float)]))
+    counted = follows * (1.0 if weight is None else weight)
+    return session.by_run(np.column_stack([squares[:, AXES].numpy() * counted[:, None], counted]))
 
 
 def _ratios(by_run: np.ndarray, rng: np.random.Generator, draws: int) -> np.ndarray:

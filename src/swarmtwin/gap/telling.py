@@ -20,7 +20,7 @@ Rivals = Mapping[str, np.ndarray]
 def told_causes(examination: Examination, found: Found) -> tuple[Cause, ...]:
     """Return the causes that stand, by share of the gap."""
     causes = []
-    if found.mechanisms and found.named.certainty is not None:
+    if found.are_named and found.named.certainty is not None:
         estimates = _estimates(examination, found.named.certainty, found.named.fit)
         total = sum(max(news, 1e-9) for news in found.named.news)
         for mechanism, parameters, news, rivals in zip(
