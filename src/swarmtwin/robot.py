@@ -110,7 +110,8 @@ class Actuators(StrictModel):
         kind: `wheel`: speed follows the command, and what grips less goes less far; `thrust`: fins, propellers, jets
             push against a drag.
         effort: the command columns that each say how hard one actuator works; of wheels the left and the right one.
-            None where the command is a forward speed and a turn rate (kinematics `unicycle`).
+            None where the command is a forward speed and a turn rate (kinematics `unicycle`). Left out: all columns of
+            a differential drive, the second one, an amplitude, of a tail fin.
         steering: of thrust, the command column that is its angle in degrees, if one is.
         track_mm: of wheels, the distance between left and right; null: learned from the recording where the command
             names each wheel.
@@ -192,15 +193,23 @@ class Robot(StrictModel):
 
     @property
     def actuation(self) -> Actuators:
-        """Its actuators: those stated, or what is usual for its kinematics."""
-        if self.actuators:
+        """Its actuators: as stated, and where nothing is, as is usual for its kinematics."""
+        usual = self._usual_actuators()
+        if self.actuators is None:
+            return usual
+        stated = self.actuators.model_dump(exclude_unset=True)
+        if self.actuators.kind != usual.kind:
             return self.actuators
+        return usual.model_copy(update=stated)
+
+    def _usual_actuators(self) -> Actuators:
         if self.kinematics == "unicycle":
             return Actuators(kind="wheel", track_mm=self.vehicle_size_mm[1])
         if self.kinematics == "differential_drive":
             return Actuators(kind="wheel", effort=self.command_columns)
-        angle, amplitude, *_ = self.command_columns
-        return Actuators(kind="thrust", effort=(amplitude,), steering=angle, strength_exponents=(1.0, 2.0, 2.0))
+        angle, amplitude = (*self.command_columns, None)[:2]
+        effort = (amplitude,) if amplitude else ()
+        return Actuators(kind="thrust", effort=effort, steering=angle, strength_exponents=(1.0, 2.0, 2.0))
 
     @property
     def command_columns(self) -> tuple[str, ...]:
