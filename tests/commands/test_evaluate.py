@@ -131,7 +131,13 @@ def test_the_figures_of_the_vehicles_pool_to_the_overall_ones(evaluate, model):
     mean_mm = np.average([loop["rmse_mm"]["mean"] for loop in loops], weights=[loop["runs"] for loop in loops])
     assert metrics["open_loop"]["rmse_mm"]["mean"] == pytest.approx(mean_mm)
     alone = evaluate(folder, "pair", "vehicles=[2]")
-    assert alone["vehicles"] == {"2": parts["2"]}
+    assert sorted(alone["vehicles"]) == ["2"]
+    assert rounded(alone["vehicles"]["2"]) == rounded(parts["2"])
+
+
+def rounded(figures):
+    """Figures to nine digits: a batch of another size may add up in another order."""
+    return json.loads(json.dumps(figures), parse_float=lambda text: float(f"{float(text):.9g}"))
 
 
 def test_of_the_vehicles_that_taught_nothing_all_runs_count(swarmtwin, evaluate, workshop):

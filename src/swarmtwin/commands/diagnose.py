@@ -28,6 +28,7 @@ from swarmtwin.gap.separation import DRIVE_FILE
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, Seed, SituationPart, StrictModel
 from swarmtwin.tracking import TrackedRun, tracked_run
+from swarmtwin.trainer import one_thread
 from swarmtwin.transitions import from_recording
 
 EXTENDED = "simulation"
@@ -39,6 +40,7 @@ class Options(StrictModel):
     robot: Robot
     reference: Path | None
     simulation: str | None
+    reference_vehicles: Vehicles
     measured: Path
     vehicles: Vehicles
     situation: tuple[SituationPart, ...] | None
@@ -65,7 +67,7 @@ def run(options: Options) -> None:
     measured = read_vehicles(options.measured, options.robot, options.vehicles)
     with tracked_run("diagnosis", name, settings, inputs, options.seed) as tracked:
         with new_folder(output, "diagnose", settings, options.overwrite, inputs=inputs) as inside:
-            with stage_bar("diagnosis") as report:
+            with stage_bar("diagnosis") as report, one_thread():
                 report("learning the reference", 0, 1)
                 reference, learned = _reference(options, folder, measured)
                 finding = diagnose(reference, measured, options.seed, report)
@@ -80,7 +82,7 @@ def _reference(options: Options, folder: Path | None, measured: Recording) -> tu
     """Return what to compare with, and the digests of the tracks it was learned from."""
     if folder is None:
         assert options.reference is not None
-        recording = read_vehicles(options.reference, options.robot, None)
+        recording = read_vehicles(options.reference, options.robot, options.reference_vehicles)
         learned = tuple(track.digest() for track in recording.tracks)
         _refuse_overlap(learned, measured, f"the reference {options.reference}")
         transitions, _ = from_recording(recording)
@@ -98,7 +100,7 @@ def _reference(options: Options, folder: Path | None, measured: Recording) -> tu
                 "real data, or add reference=DIR, a recording in which nothing is wrong"
             )
         return Reference.of_simulation(dynamics, evidence, options.robot.arena_mm, options.seed), provenance.learned
-    recording = read_vehicles(options.reference, options.robot, None)
+    recording = read_vehicles(options.reference, options.robot, options.reference_vehicles)
     _refuse_overlap(tuple(track.digest() for track in recording.tracks), measured, f"the reference {options.reference}")
     transitions, _ = from_recording(provenance.unseen_part(recording))
     return (
@@ -205,10 +207,10 @@ def table(diagnosis: Diagnosis) -> Table:
         )
         rivals = ", ".join(cause.rivals)
         shown.add_row(cause.name, told, f"{cause.share_of_gap:.0%}", f"{cause.confidence:.0%}", rivals)
-    gains = "; ".join(
-        f"{name} {gain.before:.2f} → {gain.after:.2f} (−{gain.low:.2f} to −{gain.high:.2f})"
+    gains = "\n".join(
+        f"{name} {gain.before:.2f} → {gain.after:.2f} (95 %: {gain.low:.2f} to {gain.high:.2f} less)"
         for name, gain in _gains(diagnosis).items()
     )
     depends = ", ".join(diagnosis.depends_on) or "nothing"
-    shown.caption = f"residual depends on: {depends}\nheld-out runs: {gains}"
+    shown.caption = f"the residual depends on: {depends}\non held-out runs\n{gains}"
     return shown

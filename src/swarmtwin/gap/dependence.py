@@ -64,7 +64,7 @@ def member_changes(problem: Problem, base: AnyBase | None) -> np.ndarray:
     return np.array(changes) if changes else np.empty((0, len(problem.session), 3))
 
 
-def dependences(measured: Examined, known: Examined, seed: int) -> list[Dependence]:
+def dependences(measured: Examined, known: Examined, seed: int, forgives: bool = True) -> list[Dependence]:
     """Test what residuals depend on beyond what the reference's own residuals do.
 
     For each part of the situation its functions, alone and times the motion, are regressed upon; the difference of the
@@ -73,7 +73,7 @@ def dependences(measured: Examined, known: Examined, seed: int) -> list[Dependen
     variance does not matter and is not found.
     """
     rng = np.random.default_rng(seed)
-    tests = _each_part(measured, known, rng)
+    tests = _each_part(measured, known if forgives else None, rng)
     tests = [_with_runs(test, measured) if test.part == "time" else test for test in tests]
     tests += _shape_tests(measured, known, rng)
     return _controlled(tests)
@@ -84,8 +84,8 @@ def tested_parts(measured: Examined, known: Examined, rng: np.random.Generator) 
     return _controlled(_each_part(measured, known, rng))
 
 
-def _each_part(measured: Examined, known: Examined, rng: np.random.Generator) -> list[Dependence]:
-    known_parts = _functions(known.session)
+def _each_part(measured: Examined, known: Examined | None, rng: np.random.Generator) -> list[Dependence]:
+    known_parts = _functions(known.session) if known else {}
     return [
         _tested(part, functions, known_parts.get(part), measured, known, rng)
         for part, functions in _functions(measured.session).items()
@@ -155,7 +155,7 @@ def _tested(
     functions: np.ndarray,
     known_functions: np.ndarray | None,
     measured: Examined,
-    known: Examined,
+    known: Examined | None,
     rng: np.random.Generator,
 ) -> Dependence:
     statistic, drawn = 0.0, np.zeros(DRAWS)
@@ -165,7 +165,7 @@ def _tested(
         regressors = _trimmed(np.concatenate([alone, alone * measured.size[:, [axis]]], axis=1), measured.session.runs)
         own = _coefficients(regressors, measured, axis, rng)
         value, chances, information = own
-        if known_functions is not None and known_functions.shape[1] == functions.shape[1]:
+        if known and known_functions is not None and known_functions.shape[1] == functions.shape[1]:
             there = (known_functions - centre) / spread
             same = np.concatenate([there, there * known.size[:, [axis]]], axis=1)[:, : regressors.shape[1]]
             other, other_chances, _ = _coefficients(same, known, axis, rng)

@@ -2,20 +2,30 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from swarmtwin.robot import StrictModel
 
 Verdict = Literal["explained", "no_gap", "unexplained"]
-Share = Annotated[float, Field(ge=0, le=1)]
+
+
+def _significant(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+Number = Annotated[float, AfterValidator(_significant)]
+"""A figure with six digits: what lies beyond differs from machine to machine, and means nothing."""
+
+
+Share = Annotated[float, Field(ge=0, le=1), AfterValidator(_significant)]
 
 
 class Estimate(StrictModel):
     """A parameter of a mechanism, with the 95 % interval that holds the true one in 95 of 100 sessions."""
 
-    value: float
-    low: float
-    high: float
+    value: Number
+    low: Number
+    high: Number
     unit: str
 
 
@@ -49,10 +59,10 @@ class Gain(StrictModel):
         high: its upper end.
     """
 
-    before: float
-    after: float
-    low: float
-    high: float
+    before: Number
+    after: Number
+    low: Number
+    high: Number
 
 
 class Gains(StrictModel):
@@ -77,9 +87,9 @@ class Dependence(StrictModel):
     """
 
     part: str
-    statistic: float
+    statistic: Number
     p_value: Share
-    explained: float
+    explained: Number
     found: bool
 
 
@@ -99,7 +109,7 @@ class NextRecording(StrictModel):
     drive: str
     runs: int
     steps: int
-    expected_nats: float
+    expected_nats: Number
     command: str
 
 

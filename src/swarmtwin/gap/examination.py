@@ -96,16 +96,16 @@ class Found:
     @property
     def verdict(self) -> Verdict:
         """What to say."""
-        if self.named.fit.mechanisms:
-            return "explained" if self.causes_stand and self.nothing_left else "unexplained"
-        if self.spread:
+        if self.spread and not self.named.fit.mechanisms:
+            return "explained"
+        if self.causes_stand and self.nothing_left:
             return "explained"
         return "unexplained" if any(test.found for test in self.before) else "no_gap"
 
     @property
     def mechanisms(self) -> tuple[Mechanism, ...]:
         """The mechanisms that the simulation is extended by."""
-        return self.named.fit.mechanisms if self.causes_stand else ()
+        return self.named.fit.mechanisms if self.causes_stand and self.verdict != "no_gap" else ()
 
 
 class Examination:
@@ -156,18 +156,21 @@ class Examination:
             self.report(stage, 0, 1)
 
     def _dependences(self, fit: Fit) -> list[Dependence]:
-        return dependences(Examined.of(self.problem, fit, self.base), self._known_examined, self.seed)
+        known = self._known_examined
+        return dependences(Examined.of(self.problem, fit, self.base), known, self.seed, self.reference.forgives)
 
     def _named(self) -> Named:
         """Name the causes, on part of a long session first."""
         session = self.problem.session
         if len(session) <= MOST_SEARCHED:
-            return Search(self.problem, self.known, self.base, self.kinds, self.report).run()
+            return self._search(self.problem)
         every = -(-len(session) // MOST_SEARCHED)
         part = session.where(session.run % every == 0)
         smaller = Problem(self.base, self.reference.noise, part, self.reference.vehicles)
-        named = Search(smaller, self.known, self.base, self.kinds, self.report).run()
-        return refitted(named, self.problem, self.base)
+        return refitted(self._search(smaller), self.problem, self.base)
+
+    def _search(self, problem: Problem) -> Named:
+        return Search(problem, self.known, self.base, self.kinds, self.reference.forgives, self.report).run()
 
     def _learned(self, fit: Fit) -> tuple[LearnedResidual | None, float]:
         """Learn what is left over; None where it explains nothing of runs that it has not seen."""

@@ -1,6 +1,6 @@
 """Causes are named one after the other: the best is added, then each is tried against every other one."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from swarmtwin.gap.base import AnyBase
 from swarmtwin.gap.certainty import Certainty, certainty
 from swarmtwin.gap.fitting import Fit, Kind, Problem, Promise
 from swarmtwin.gap.likeness import likeness
+from swarmtwin.gap.mechanism import Mechanism
 
 MOST_CAUSES = 4
 FEWEST_NATS = 15.0
@@ -17,6 +18,7 @@ PENALTY_WEIGHT = 2.0
 EXCHANGE_NATS = 3.0
 RIVAL_NATS = 4.0
 NATS_A_PARAMETER = 4.0
+LARGEST_Z = 5.0
 ALIKE_SHARE = 0.3
 LEAST_SHARE = 0.04
 RIVAL_ERRORS = 2.5
@@ -55,20 +57,27 @@ class Search:
             weakness of the simulation, and no news.
         base: the simulation.
         kinds: the mechanisms offered, by name.
+        forgives: whether that is so.
         report: called with what is being tried, and how far it is.
     """
 
     def __init__(
-        self, problem: Problem, known: Problem, base: AnyBase, kinds: Mapping[str, Kind], report: Report | None = None
+        self,
+        problem: Problem,
+        known: Problem,
+        base: AnyBase,
+        kinds: Mapping[str, Kind],
+        forgives: bool = True,
+        report: Report | None = None,
     ) -> None:
         self.problem, self.known, self.base = problem, known, base
         self.kinds = {name: kind for name, kind in kinds.items() if problem.offers(kind)}
-        self.report = report
+        self.forgives, self.report = forgives, report
         self._fits: dict[frozenset[str], Fit] = {}
         self._promises: dict[frozenset[str], dict[str, Promise]] = {}
         self._changes: dict[str, np.ndarray] = {}
         self._nothing = problem.evaluate([])
-        self._known_before = known.evaluate([]).likelihood
+        self._known_nothing = known.evaluate([])
         self._like_known = likeness(problem.session, known.session)
         self.least = max(FEWEST_NATS, FEWEST_NATS_A_TRANSITION * len(problem.session))
 
@@ -196,7 +205,7 @@ class Search:
         """Return the nats that a fit is better by than a smaller one, as far as that is news and not chance."""
         gained = larger.total - smaller.total
         added = [mechanism for mechanism in larger.mechanisms if mechanism.name not in smaller.names]
-        already = float((self.known.evaluate(added).likelihood - self._known_before) @ self._like_known)
+        already = self._already(added, larger, smaller)
         penalty = certainty(self.problem, self.base, larger).penalty
         if smaller.mechanisms:
             penalty -= certainty(self.problem, self.base, smaller).penalty
@@ -205,7 +214,26 @@ class Search:
         errors = by_run.sum() / max(by_run.std() * np.sqrt(len(by_run)), 1e-9)
         if errors < (LEAST_ERRORS if gained < LARGE * self.least else FEWER_ERRORS):
             return -np.inf
-        return gained - max(already, 0.0) - PENALTY_WEIGHT * max(penalty, 0.0) - searched
+        return gained - already - PENALTY_WEIGHT * max(penalty, 0.0) - searched
+
+    def _already(self, added: Sequence[Mechanism], larger: Fit, smaller: Fit) -> float:
+        """Return the nats of a gain that the reference would show as well: there the simulation is weak, no more.
+
+        Where mechanisms would change the reference's residuals by d, they go along with d by a slope α, 0 if nothing is
+        wrong with the simulation. As far as that is so, α Σ d² nats of the session's gain are no news.
+        """
+        if not self.forgives:
+            return 0.0
+        known = self.known.evaluate(added)
+        if any(mechanism.overrides("arriving") for mechanism in added):
+            return max(0.0, float((known.likelihood - self._known_nothing.likelihood) @ self._like_known))
+        change = (self._known_nothing.residual - known.residual).clip(-LARGEST_Z, LARGEST_Z)
+        along = (self._known_nothing.residual.clip(-LARGEST_Z, LARGEST_Z) * change).sum(axis=1)
+        size = float((change**2).sum())
+        by_run = self.known.session.by_run(along)
+        slope = (float(along.sum()) + float(by_run.std()) * np.sqrt(len(by_run))) / max(size, 1e-9)
+        here = (smaller.residual - larger.residual).clip(-LARGEST_Z, LARGEST_Z) / larger.scale
+        return max(slope, 0.0) * float((here**2).sum()) if size > 0 else 0.0
 
     def _rivals(self, chosen: Fit, index: int) -> dict[str, np.ndarray]:
         """Return by name what fits nearly as well in the place of a cause, and by how much less in each run, (R,)."""

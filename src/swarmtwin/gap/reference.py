@@ -1,6 +1,6 @@
 """What a measured session is compared with: a simulation, its own noise, and how sure it is of itself."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -46,6 +46,7 @@ class Reference:
         vehicles: ids of the vehicles it was learned from; empty where they are not known.
         session: the reference's own transitions.
         unseen: what answers them without having seen them.
+        forgives: whether what the simulation gets wrong on the reference as well counts as known, and is no gap.
     """
 
     base: AnyBase
@@ -54,6 +55,7 @@ class Reference:
     vehicles: tuple[str, ...]
     session: Session
     unseen: Base
+    forgives: bool = True
 
     @property
     def robot(self) -> Robot:
@@ -75,11 +77,13 @@ class Reference:
             arena: where it was made.
             seed: of everything random.
             parts: what the simulation is given; None: what the robot's models are given, and the previous command.
+                Where they are named, nothing is forgiven: what it gets wrong of the reference is a gap as well.
 
         Raises:
             UserError: too few runs or transitions, or constant commands.
         """
         robot = transitions.robot
+        forgives = parts is None
         if parts is None:
             parts = tuple(part for part in KNOWN_PARTS if part in (*robot.situation, "previous_command"))
         surroundings = surroundings_of(transitions, arena)
@@ -87,7 +91,7 @@ class Reference:
         require_enough(session, "reference")
         fold = folds_of(session.run, FOLDS)
         base = _learned_base(session, parts, session.way, fold, seed)
-        return cls._with_noise(base, session, fold, seed)
+        return replace(cls._with_noise(base, session, fold, seed), forgives=forgives)
 
     @classmethod
     def of_simulation(cls, dynamics: Dynamics, evidence: Transitions, arena: Arena, seed: int) -> Self:

@@ -1,0 +1,181 @@
+"""`swarmtwin diagnose`: both fixed calls, what they leave, and one clear message where nothing can be concluded."""
+
+import json
+import shutil
+
+import pandas as pd
+import pytest
+
+from swarmtwin.commands import COMMANDS
+from swarmtwin.commands.app import run_command
+from swarmtwin.dynamics.evaluation import predict
+from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.gap.store import load_dynamics
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.registry import versions
+from swarmtwin.standin import truth
+from swarmtwin.transitions import from_recording
+
+SAG = "effects=[{name: battery_sag, loss: 0.35}]"
+
+
+def call(*arguments, expected=0):
+    """Run a command in this process; return its exit status, which must be the one expected."""
+    status = run_command(arguments[0], COMMANDS[arguments[0]].module, [str(argument) for argument in arguments[1:]])
+    assert status == expected
+    return status
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """Recordings of the ground robot, clean, ageing and short, in a folder with its own MLflow store."""
+    folder = tmp_path_factory.mktemp("drives")
+    record = ("record", "robot=mgr", "steps=30")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("MLFLOW_TRACKING_URI", raising=False)
+        patch.setattr(truth, "BANK_ROWS", 4096)
+        call(*record, "runs=60", "seed=3", f"output={folder / 'reference'}")
+        call(*record, "runs=60", "seed=4", SAG, f"output={folder / 'sag'}")
+        call(*record, "runs=60", "seed=6", f"output={folder / 'clean'}")
+        call(*record, "runs=5", "seed=5", f"output={folder / 'short'}")
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(drives):
+    """The diagnosis of the ageing session against the clean recording."""
+    output = drives / "diagnosis"
+    call("diagnose", "robot=mgr", f"reference={drives / 'reference'}", f"measured={drives / 'sag'}", f"output={output}")
+    return output
+
+
+def test_an_ageing_battery_is_named_with_its_loss(diagnosed):
+    diagnosis = json.loads((diagnosed / "diagnosis.json").read_text())
+    assert diagnosis["verdict"] == "explained"
+    assert [cause["name"] for cause in diagnosis["causes"]] == ["battery_sag"]
+    loss = diagnosis["causes"][0]["parameters"]["loss"]
+    assert loss["low"] < 0.35 < loss["high"]
+    assert loss["high"] - loss["low"] < 0.1
+    gain = diagnosis["gain"]["position_mm"]
+    assert gain["after"] < gain["before"]
+    assert 0 < gain["low"] < gain["high"]
+
+
+def test_the_extended_simulation_is_a_dynamics_model_like_any_other(drives, diagnosed):
+    extended = load_dynamics(diagnosed / "simulation")
+    transitions, _ = from_recording(read_recording(drives / "sag", extended.robot))
+    predicted = predict(extended, transitions)
+    assert predicted.shape == (len(transitions), 3)
+    assert versions("mgr-dynamics")[0].tags["causes"] == "battery_sag"
+    provenance = Provenance.read(diagnosed / "simulation")
+    held_out = provenance.unseen_part(read_recording(drives / "sag", extended.robot))
+    assert set(held_out.runs) >= set(provenance.runs["test"])
+    assert not set(held_out.runs) & set(provenance.runs["train"])
+
+
+def test_the_report_stands_alone(diagnosed):
+    page = (diagnosed / "report.html").read_text()
+    assert "battery" in page.lower()
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
+    model = drives / "model"
+    call(
+        "train",
+        "robot=mgr",
+        "model=mlp",
+        "seeds=1",
+        f"recording={drives / 'reference'}",
+        "split.fractions.train=0.6",
+        "split.fractions.validation=0.2",
+        "split.fractions.test=0.2",
+        f"output={model}",
+    )
+    output = drives / "by_model"
+    call(
+        "diagnose",
+        "robot=mgr",
+        f"simulation={model}",
+        f"measured={drives / 'sag'}",
+        f"output={output}",
+        "register=false",
+    )
+    diagnosis = json.loads((output / "diagnosis.json").read_text())
+    assert [cause["name"] for cause in diagnosis["causes"]] == ["battery_sag"]
+    extended = load_dynamics(output / "simulation")
+    assert extended.base.dynamics.config.name == "mlp"
+
+
+def test_the_same_seed_gives_the_same_answer(drives, diagnosed):
+    again = drives / "again"
+    call(
+        "diagnose",
+        "robot=mgr",
+        f"reference={drives / 'reference'}",
+        f"measured={drives / 'sag'}",
+        f"output={again}",
+        "register=false",
+    )
+    assert (again / "diagnosis.json").read_text() == (diagnosed / "diagnosis.json").read_text()
+
+
+def test_the_answer_book_is_not_read(drives, tmp_path, diagnosed):
+    """Without truth and provenance beside the recordings the diagnosis is the same."""
+    for name in ("reference", "sag"):
+        shutil.copytree(drives / name, tmp_path / name)
+        (tmp_path / name / "truth.parquet").unlink()
+        (tmp_path / name / "provenance.json").unlink(missing_ok=True)
+    output = tmp_path / "diagnosis"
+    call(
+        "diagnose",
+        "robot=mgr",
+        f"reference={tmp_path / 'reference'}",
+        f"measured={tmp_path / 'sag'}",
+        f"output={output}",
+        "register=false",
+    )
+    assert (output / "diagnosis.json").read_text() == (diagnosed / "diagnosis.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["reference={}/reference", "measured={}/reference"], "are also in the reference"),
+        (["reference={}/reference", "measured={}/short"], "too few to conclude"),
+        (["reference={}/short", "measured={}/sag"], "too few to conclude"),
+        (["measured={}/sag"], "give reference="),
+        (["reference={}/reference", "measured={}/nowhere"], "nowhere"),
+        (["robot=mur", "reference={}/reference", "measured={}/sag"], "mgr"),
+        (["simulation={}/reference", "measured={}/sag"], "model.yaml"),
+    ],
+)
+def test_what_cannot_be_concluded_is_said_in_one_line(drives, tmp_path, options, message, capfd):
+    given = [option.format(drives) for option in options]
+    status = call("diagnose", *given, f"output={tmp_path / 'out'}", expected=1)
+    assert status == 1
+    said = capfd.readouterr().err
+    assert message in said
+    assert "Traceback" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_constant_commands_are_refused(drives, tmp_path, capfd):
+    constant = tmp_path / "constant"
+    shutil.copytree(drives / "clean", constant)
+    for file in (constant / "runs").glob("*.csv"):
+        rows = pd.read_csv(file)
+        driven = rows["left"].notna()
+        rows.loc[driven, ["left", "right"]] = 40
+        rows.to_csv(file, index=False)
+    call(
+        "diagnose",
+        "robot=mgr",
+        f"reference={drives / 'reference'}",
+        f"measured={constant}",
+        f"output={tmp_path / 'out'}",
+        expected=1,
+    )
+    assert "constant command" in capfd.readouterr().err
