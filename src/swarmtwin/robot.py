@@ -117,7 +117,7 @@ class Actuators(StrictModel):
             names each wheel.
         strength_exponents: how displacement (forward, left, turn) goes with an actuator's speed. Wheels: in proportion.
             Thrust grows with the square, and so does motion against linear drag; against quadratic drag motion is in
-            proportion.
+            proportion. Left out: in proportion.
     """
 
     kind: Literal["wheel", "thrust"]
@@ -197,10 +197,9 @@ class Robot(StrictModel):
         usual = self._usual_actuators()
         if self.actuators is None:
             return usual
-        stated = self.actuators.model_dump(exclude_unset=True)
         if self.actuators.kind != usual.kind:
             return self.actuators
-        return usual.model_copy(update=stated)
+        return usual.model_copy(update={name: value for name, value in self.actuators if value})
 
     def _usual_actuators(self) -> Actuators:
         if self.kinematics == "unicycle":
@@ -209,7 +208,7 @@ class Robot(StrictModel):
             return Actuators(kind="wheel", effort=self.command_columns)
         angle, amplitude = (*self.command_columns, None)[:2]
         effort = (amplitude,) if amplitude else ()
-        return Actuators(kind="thrust", effort=effort, steering=angle, strength_exponents=(1.0, 2.0, 2.0))
+        return Actuators(kind="thrust", effort=effort, steering=angle)
 
     @property
     def command_columns(self) -> tuple[str, ...]:

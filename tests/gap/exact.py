@@ -7,7 +7,9 @@ import torch
 from torch import Tensor, nn
 
 from swarmtwin.dynamics.twist import displacement_of, twist_of
+from swarmtwin.gap.catalogue import mechanism_class
 from swarmtwin.gap.mechanism import Drive
+from swarmtwin.gap.motion import likeliest_displacement
 from swarmtwin.gap.noise import Noise
 from swarmtwin.gap.session import Session
 from swarmtwin.gap.surroundings import Surroundings
@@ -72,6 +74,14 @@ def drive_of(robot, rng, count=200, **changes):
     surroundings = changes.pop("surroundings", None) or surroundings_of(robot)
     filled = {name: torch.as_tensor(changes.get(name, value)).double() for name, value in content.items()}
     return Drive(robot=robot, surroundings=surroundings, **filled)
+
+
+def moved(robot, name, drive, **values):
+    """What the camera measures with one mechanism, and without any."""
+    base = ExactBase(robot)
+    return likeliest_displacement(base, [mechanism_class(name).at(values)], drive), likeliest_displacement(
+        base, [], drive
+    )
 
 
 class Moment(NamedTuple):

@@ -11,6 +11,8 @@ from swarmtwin.gap.dependence import Examined, dependences
 SEEDS = 40
 MOST_FALSE = 2
 AR = 0.3
+CONFOUNDED = {"position": {"time", "wall_distance"}}
+"""What shows besides: a vehicle stays where it is for a run, and the middle is far from all walls."""
 
 
 @pytest.fixture(scope="module")
@@ -73,10 +75,10 @@ def planted(session):
     late = elapsed_s / elapsed_s.max()
     return {
         "heading": 0.4 * np.cos(2 * heading),
-        "command": 0.6 * command[:, 0] * command[:, 1],
+        "command": 1.2 * command[:, 0] * command[:, 1],
         "previous_command": 0.4 * previous[:, 1],
-        "position": 0.6 * inside,
-        "time": 0.8 * (late - 0.5),
+        "position": 1.0 * (inside - inside.mean()),
+        "time": 1.6 * (late - 0.5),
     }
 
 
@@ -88,7 +90,7 @@ def test_what_is_planted_is_found_by_name(sessions, part, axis):
     residual[:, axis] += planted(sessions[0])[part]
     tests = dependences(examined(sessions[0], residual), examined(sessions[1], white(sessions[1], rng)), 5)
     assert part in found(tests)
-    assert max(tests, key=lambda test: test.explained if test.part not in ("spread", "tails") else 0).part == part
+    assert found(tests) <= {part, "spread", "tails", *CONFOUNDED.get(part, ())}
 
 
 @pytest.mark.parametrize("part", ["heading", "command", "previous_command"])

@@ -10,6 +10,8 @@ from swarmtwin.gap.catalogue import mechanism_class
 from swarmtwin.gap.fitting import Problem
 from swarmtwin.gap.mechanism import way_of_wheels, wheel_ways
 from swarmtwin.gap.naming import FEWEST_NATS
+from swarmtwin.gap.noise import residual_of
+from swarmtwin.geometry import compose
 
 
 def of_wheels(left, right):
@@ -62,27 +64,21 @@ def test_what_is_left_of_a_strange_unit_is_noise(robots):
     np.testing.assert_allclose(residual.std(axis=0), 1.0, atol=0.04)
 
 
-def test_what_no_unit_does_is_not_absorbed(robots):
-    """A delay is no difference of units: nearly all that says it stays."""
-
+def test_a_delay_is_no_difference_of_units(robots):
     def late(moment):
-        return displacement_of(0.9 * moment.way + 0.1 * moment.way_before)
+        return compose(displacement_of(0.1 * moment.way_before), displacement_of(0.9 * moment.way))
 
-    known, strange = (
-        nats(problem_of(robots["mgr"], late, vehicle), "command_delay", delay_s=0.02) for vehicle in ("1", "2")
-    )
-    assert strange > 0.9 * known > 9 * FEWEST_NATS
+    problem = problem_of(robots["mgr"], late, "2")
+    fit = problem.fit([mechanism_class("command_delay").at({"delay_s": 0.02})])
+    assert fit.total - problem.evaluate([]).total > 50 * FEWEST_NATS
+    assert fit.mechanisms[0].delay_s == pytest.approx(0.05, abs=0.001)
 
 
-def test_the_price_is_that_of_the_prior(robots):
-    """Twice as large a difference costs four times as much, and a stranger robot a smaller price."""
-    prices = [
-        problem_of(robots["mgr"], of_wheels(gain, gain), "2").units for gain in (1.0,)
-    ]
-    units = prices[0]
-    rng = np.random.default_rng(2)
-    residual = rng.normal(size=(units._directions.shape[0] // 3, 3))
-    freed, price = units.free(residual)
-    twice, price_of_twice = units.free(2 * residual)
+def test_a_difference_twice_as_large_costs_four_times_as_much(robots):
+    problem = problem_of(robots["mgr"], of_wheels(1.02, 1.0), "2")
+    residual = problem.whitener(residual_of(problem.session, problem.simulated)).numpy()
+    freed, price = problem.units.free(residual)
+    twice, price_of_twice = problem.units.free(2 * residual)
     np.testing.assert_allclose(twice, 2 * freed)
     assert price_of_twice == pytest.approx(4 * price)
+    assert price > 0

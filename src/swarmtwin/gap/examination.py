@@ -108,6 +108,11 @@ class Found:
         return self.named.fit.mechanisms if self.causes_stand and self.verdict != "no_gap" else ()
 
 
+def _without_shape(tests: list[Dependence]) -> list[Dependence]:
+    """Return tests of which spread and tails do not count: the camera's noise has changed, not the motion's."""
+    return [test.model_copy(update={"found": test.found and test.part not in OF_SHAPE}) for test in tests]
+
+
 class Examination:
     """Compares the runs of a session with a reference."""
 
@@ -143,6 +148,8 @@ class Examination:
         if not left and not any(kind.overrides("arriving") for kind in named.fit.kinds):
             compared = compare_spread(self.problem, named.fit, self.known, self.base, self.rng)
             spread = compared if compared.is_news else None
+            if compared.is_none:
+                before, after = (_without_shape(tests) for tests in (before, after))
         return Found(named, spread, before, after, residual, explained, achievable)
 
     def fitted(self, others: tuple[Mechanism, ...], name: str) -> tuple[Mechanism, ...]:

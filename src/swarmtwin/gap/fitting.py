@@ -21,7 +21,7 @@ Kind = type[Mechanism]
 NORMAL = 100.0
 FARTHEST_Z = 2.5
 OUTLIER_Z = 4.0
-MOST_EVALUATIONS = 14
+EVALUATIONS = (12, 6)
 SCALE_ROUNDS = 3
 MOST_POLISHING = 40
 GRIP_STEP = 0.02
@@ -189,6 +189,15 @@ class Problem:
         return low, high, np.array([one.response_step for one in quantities])
 
     def _by_least_squares(self, kinds: Sequence[Kind], start: np.ndarray) -> np.ndarray:
+        low, high, _ = self._bounds(kinds)
+        margin = 1e-6 * (high - low)
+        found = np.clip(start, low + margin, high - margin)
+        for evaluations in EVALUATIONS:
+            found = self._one_search(kinds, np.clip(found, low + margin, high - margin), evaluations)
+        return found
+
+    def _one_search(self, kinds: Sequence[Kind], start: np.ndarray, evaluations: int) -> np.ndarray:
+        """Search with the residuals' axes weighed by their spread at the start."""
         low, high, step = self._bounds(kinds)
         scale = self._scale(self.residual(self.assembled(kinds, start)).numpy())
 
@@ -198,21 +207,18 @@ class Problem:
         def jacobian(values: np.ndarray) -> np.ndarray:
             return self.slopes(kinds, values).reshape(-1, len(values)) / np.tile(scale, len(self.session))[:, None]
 
-        margin = 1e-6 * (high - low)
-        inside = np.clip(start, low + margin, high - margin)
-        found = optimize.least_squares(
+        solution: np.ndarray = optimize.least_squares(
             residuals,
-            inside,
+            start,
             jacobian,
             (low, high),
             x_scale=step,
             loss="huber",
             f_scale=FARTHEST_Z,
-            max_nfev=MOST_EVALUATIONS,
+            max_nfev=evaluations,
             xtol=1e-4,
             ftol=1e-6,
-        )
-        solution: np.ndarray = found.x
+        ).x
         return solution
 
     def _by_likelihood(self, kinds: Sequence[Kind], start: np.ndarray) -> np.ndarray:

@@ -121,6 +121,8 @@ class Mechanism(StrictModel, ABC):
         needs: parts of the situation that it looks at beside the command.
         uses_history: whether it asks how the previous command goes on.
         is_smooth: whether the motion changes gradually with the parameters.
+        widening: by how much its intervals are wider than the likelihood says: it only approximates what it stands for.
+            Found on stand-ins, in sessions other than those that coverage is reported for.
     """
 
     words: ClassVar[str]
@@ -129,6 +131,7 @@ class Mechanism(StrictModel, ABC):
     needs: ClassVar[tuple[SituationPart, ...]] = ()
     uses_history: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
+    widening: ClassVar[float] = 1.1
 
     name: str
 
@@ -260,7 +263,7 @@ def effort_limit(robot: Robot) -> float:
     """Return the largest effort of an actuator, in the command's unit; of wheels told by speed and turn, in mm/s."""
     if robot.actuation.effort:
         return robot.command[robot.actuation.effort[0]].high
-    return float(robot.command_high[0])
+    return float(robot.command_high[0] + robot.command_high[1] * (robot.actuation.track_mm or 0.0) / 2)
 
 
 def effort_unit(robot: Robot) -> str:

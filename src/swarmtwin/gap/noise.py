@@ -45,7 +45,7 @@ class Noise:
         usual = way.std(dim=0).clamp(min=1e-6)
         follows = torch.as_tensor(session.follows >= 0)
         before = _before(residual, way / usual, session)
-        carry = torch.linalg.lstsq(before[follows], residual[follows]).solution.T
+        carry = torch.linalg.lstsq(before[follows], residual[follows], driver="gelsd").solution.T
         fresh = residual - before @ carry.T
         columns = _columns(way / usual, follows)
         log_spread = torch.stack([_log_spread(columns, fresh[:, axis]) for axis in range(3)], dim=-1)

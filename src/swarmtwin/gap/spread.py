@@ -18,7 +18,10 @@ DRAWS = 1000
 AXES = (0, 2)
 LARGEST_Z = 6.0
 SURE_ERRORS = 4.5
+UNSURE_ERRORS = 3.0
+LARGEST_NONE = 0.25
 LEAST_CHANGE = 0.04
+LARGE_CAMERA_SHARE = 0.2
 LEAST_CHANGE_BESIDE = 0.35
 LEAST_CHANGE_OF_OTHERS = 0.45
 LARGEST_DISAGREEMENT = 0.6
@@ -38,6 +41,7 @@ class Spread:
         agrees: whether motion ahead and turning say the same.
         is_even: whether it is the same whatever the command, the place and the time.
         least: the smallest change that counts: beside other causes, whose mechanisms are never exact, a larger one.
+        camera_grew: whether the camera's own noise is much larger than the reference's.
     """
 
     factor: float
@@ -47,6 +51,14 @@ class Spread:
     agrees: bool
     is_even: bool
     least: float
+    camera_grew: bool
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the motion is as random as ever, whatever became of the camera's noise."""
+        if self.camera_grew and abs(self.factor - 1) < self.least:
+            return True
+        return abs(self.errors) < UNSURE_ERRORS and abs(np.log(self.factor)) < LARGEST_NONE
 
     @property
     def is_news(self) -> bool:
@@ -74,7 +86,7 @@ def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rn
     drawn = _ratios(here, rng, DRAWS)[:, :-1] / _ratios(there, rng, DRAWS)[:, :-1]
     value = (here.sum(axis=0)[:-1] / here.sum(axis=0)[-1]) / (there.sum(axis=0)[:-1] / there.sum(axis=0)[-1])
     if (value <= 0).any():
-        return Spread(1.0, 1.0, 1.0, 0.0, False, False, LEAST_CHANGE)
+        return Spread(1.0, 1.0, 1.0, 0.0, False, False, LEAST_CHANGE, False)
     logs = 0.5 * np.log(np.maximum(drawn, 1e-3))
     single = 0.5 * np.log(value)
     weight = 1 / np.maximum(logs.var(axis=0), 1e-9)
@@ -83,28 +95,41 @@ def compare_spread(problem: Problem, fit: Fit, known: Problem, base: AnyBase, rn
     spread = float(errors.std())
     apart = abs(float(single[0] - single[1]))
     agrees = apart < max(LARGEST_DISAGREEMENT * abs(log), 3 * float((logs[:, 0] - logs[:, 1]).std()))
-    least = LEAST_CHANGE_OF_OTHERS if problem.units.count else LEAST_CHANGE
-    least = max(least, LEAST_CHANGE_BESIDE) if fit.mechanisms else least
+    grew = _camera_grew(problem, fit, known)
+    least = _least_change(problem, fit, grew)
     low, high = np.exp(log + np.quantile(errors - errors.mean(), [0.025, 0.975]))
     factor = float(np.exp(log))
     even = _is_even(problem, fit, known, factor, weight_of_known, rng)
-    return Spread(factor, float(low), float(high), log / max(spread, 1e-9), agrees, even, least)
+    return Spread(factor, float(low), float(high), log / max(spread, 1e-9), agrees, even, least, grew)
+
+
+def _camera_grew(problem: Problem, fit: Fit, known: Problem) -> bool:
+    """Say whether the camera's own noise is much larger than the reference's."""
+    usual = (known.whitener.spread.numpy() ** 2).mean(axis=0)
+    more = _camera_variance(problem, fit) - _camera_variance(known)
+    return bool((more > LARGE_CAMERA_SHARE * usual)[list(AXES)].any())
+
+
+def _least_change(problem: Problem, fit: Fit, camera_grew: bool) -> float:
+    """Return the smallest change of the factor that counts: a larger one beside anything else that may look like it."""
+    least = LEAST_CHANGE_OF_OTHERS if problem.units.count else LEAST_CHANGE
+    return max(least, LEAST_CHANGE_BESIDE) if fit.mechanisms or camera_grew else least
 
 
 def _is_even(
     problem: Problem, fit: Fit, known: Problem, factor: float, weight: np.ndarray, rng: np.random.Generator
 ) -> bool:
     """Say whether squares, over what they would be with `factor`, depend on nothing that the reference's do not."""
-    camera = _camera_share(known)
+    camera = _camera_variance(known)
     here = _squares_over_expected(problem, fit, factor, camera, np.ones(len(problem.session)))
     there = _squares_over_expected(known, None, 1.0, camera, weight)
     return not any(test.found for test in tested_parts(here, there, rng) if test.explained > LEAST_UNEVEN)
 
 
-def _camera_share(known: Problem) -> np.ndarray:
-    """Return (3,) the share of the reference's usual variance that is the camera's: neighbours disagree by it."""
-    session = known.session
-    way = twist_of(likeliest_displacement(known.base, (), session.drive))
+def _camera_variance(problem: Problem, fit: Fit | None = None) -> np.ndarray:
+    """Return (3,) the part of residuals' variance that is the camera's: neighbours disagree by it."""
+    session = problem.session
+    way = twist_of(likeliest_displacement(problem.base, fit.mechanisms if fit else (), session.drive))
     raw = residual_of(session, way)
     follows = session.follows >= 0
     earlier = raw[np.maximum(session.follows, 0)]

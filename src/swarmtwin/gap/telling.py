@@ -69,6 +69,8 @@ def _estimates(examination: Examination, certainty: Certainty, fit: Fit) -> list
     problem = examination.problem
     quantities = [quantity for _, _, quantity in problem.quantities(fit.kinds)]
     drawn = certainty.draws(BOOTSTRAPS, examination.rng)
+    wider = np.array([fit.kinds[number].widening for number, _, _ in problem.quantities(fit.kinds)])
+    drawn = certainty.values + (drawn - certainty.values) * wider
     if quantities:
         drawn = np.clip(drawn, [quantity.low for quantity in quantities], [quantity.high for quantity in quantities])
     told = [problem.assembled(fit.kinds, values) for values in drawn]

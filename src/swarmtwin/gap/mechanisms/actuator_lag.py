@@ -29,6 +29,7 @@ class Config(Mechanism):
     quantities: ClassVar = {"time_constant_s": Quantity(0.0, 1.0, 0.0, "s", (0.1,))}
     needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     uses_history: ClassVar = True
+    widening: ClassVar = 1.8
 
     name: Literal["actuator_lag"] = "actuator_lag"
     time_constant_s: float

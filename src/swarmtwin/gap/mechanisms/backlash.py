@@ -36,6 +36,7 @@ class Config(Mechanism):
     quantities: ClassVar = {}
     needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     uses_history: ClassVar = True
+    widening: ClassVar = 2.0
 
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None

@@ -9,7 +9,7 @@ from swarmtwin.gap.mechanism import Mechanism, Quantity
 from swarmtwin.gap.surroundings import Surroundings
 from swarmtwin.robot import SituationPart
 
-ITERATIONS = 12
+ITERATIONS = 20
 
 
 class Config(Mechanism):
@@ -30,9 +30,12 @@ class Config(Mechanism):
         return torch.cat([surroundings.centre_mm + away * factor * surroundings.corner_mm, pose[:, 2:]], dim=-1)
 
     def true(self, pose: Tensor, surroundings: Surroundings) -> Tensor:
-        """Move back, by fixed-point iteration."""
+        """Move back, by Newton's method."""
         away = (pose[:, :2] - surroundings.centre_mm) / surroundings.corner_mm
-        found = away
+        measured = away.norm(dim=-1, keepdim=True)
+        radius = measured
         for _ in range(ITERATIONS):
-            found = away / (1.0 + self.coefficient * (found**2).sum(dim=-1, keepdim=True)).clamp(min=0.2)
-        return torch.cat([surroundings.centre_mm + found * surroundings.corner_mm, pose[:, 2:]], dim=-1)
+            slope = (1.0 + 3.0 * self.coefficient * radius**2).clamp(min=0.05)
+            radius = radius - (radius * (1.0 + self.coefficient * radius**2) - measured) / slope
+        true = surroundings.centre_mm + away * (radius / measured.clamp(min=1e-12)) * surroundings.corner_mm
+        return torch.cat([true, pose[:, 2:]], dim=-1)

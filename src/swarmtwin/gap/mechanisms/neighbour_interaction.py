@@ -22,6 +22,7 @@ class Config(Mechanism):
     remedy: ClassVar = "keep the vehicles further apart, or look for wakes, magnets and cables"
     quantities: ClassVar = {}
     needs: ClassVar[tuple[SituationPart, ...]] = ("pose", "neighbours")
+    widening: ClassVar = 1.4
 
     name: Literal["neighbour_interaction"] = "neighbour_interaction"
     strength_mm_s: float

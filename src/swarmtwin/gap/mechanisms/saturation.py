@@ -17,6 +17,7 @@ class Config(Mechanism):
     words: ClassVar = "commands beyond {limit} are cut"
     remedy: ClassVar = "check the supply and the driver's current limit, or keep commands below it"
     quantities: ClassVar = {"limit": Quantity(0.1, 1.0, 1.0, "", STARTS)}
+    widening: ClassVar = 1.4
 
     name: Literal["saturation"] = "saturation"
     limit: float

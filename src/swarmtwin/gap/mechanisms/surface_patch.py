@@ -24,6 +24,7 @@ class Config(Mechanism):
     quantities: ClassVar = {}
     needs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
     is_smooth: ClassVar = False
+    widening: ClassVar = 2.2
 
     name: Literal["surface_patch"] = "surface_patch"
     x_mm: float

@@ -87,14 +87,13 @@ def test_a_planted_parameter_is_recovered_within_its_standard_errors(robots, nam
     np.testing.assert_allclose(fit.scale, [stretched_too, stretched_too, 1.0], atol=0.05)
 
 
-@pytest.mark.xfail(reason="residuals stay weighed by their spread at the search's start, where they are largest")
-@pytest.mark.parametrize("begun", [0.05, 0.2, 0.3])
-def test_a_search_ends_at_the_same_likelihood_wherever_it_begins(robots, begun):
+def test_a_search_ends_at_the_same_likelihood_wherever_it_begins(robots):
     base = ExactBase(robots["mgr"])
     problem = Problem(base, known_noise(), session_of(base, np.random.default_rng(22), late(0.24)))
     kind = mechanism_class("command_delay")
     best = max(problem.evaluate([kind.at({"delay_s": value})]).total for value in np.linspace(0.118, 0.122, 21))
-    assert problem.fit([kind.at({"delay_s": begun})]).total > best - 0.5
+    ends = [problem.fit([kind.at({"delay_s": begun})]).total for begun in (0.05, 0.12, 0.2, 0.3)]
+    assert min(ends) > best - 0.5
 
 
 def test_two_planted_causes_are_recovered_together(robots):
