@@ -83,7 +83,8 @@ class Found:
     @property
     def nothing_left(self) -> bool:
         """Whether what the causes leave is small beside what they explain."""
-        small = self.left < max(MOST_LEFT_OVER * self.explained, LEAST_LEFT_OVER)
+        most = max([MOST_LEFT_OVER, *(mechanism.leaves for mechanism in self.named.fit.mechanisms)])
+        small = self.left < max(most * self.explained, LEAST_LEFT_OVER)
         return small and self.excess < LARGEST_EXCESS
 
     @property

@@ -123,6 +123,7 @@ class Mechanism(StrictModel, ABC):
         is_smooth: whether the motion changes gradually with the parameters.
         widening: by how much its intervals are wider than the likelihood says: it only approximates what it stands for.
             Found on stand-ins, in sessions other than those that coverage is reported for.
+        leaves: share of its gain that it may leave to others that look like it, for the same reason.
     """
 
     words: ClassVar[str]
@@ -132,6 +133,7 @@ class Mechanism(StrictModel, ABC):
     uses_history: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
     widening: ClassVar[float] = 1.1
+    leaves: ClassVar[float] = 0.04
 
     name: str
 

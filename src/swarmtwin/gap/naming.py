@@ -19,7 +19,6 @@ EXCHANGE_NATS = 3.0
 RIVAL_NATS = 4.0
 NATS_A_PARAMETER = 4.0
 LARGEST_Z = 5.0
-ALIKE_SHARE = 0.3
 LEAST_SHARE = 0.04
 RIVAL_ERRORS = 2.5
 SEARCH_NATS = 8.0
@@ -153,7 +152,7 @@ class Search:
             size = float(np.linalg.norm(change) * np.linalg.norm(other))
             alike = abs(float(change @ other)) / max(size, 1e-12)
             gained = chosen.total - self._without(chosen, index).total
-            needed = max(needed, ALIKE_SHARE * alike * gained)
+            needed = max(needed, mechanism.leaves * alike * gained)
         return needed
 
     def _exchanged(self, chosen: Fit | None) -> Fit | None:

@@ -30,6 +30,7 @@ class Config(Mechanism):
     needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     uses_history: ClassVar = True
     widening: ClassVar = 1.8
+    leaves: ClassVar = 0.3
 
     name: Literal["actuator_lag"] = "actuator_lag"
     time_constant_s: float

@@ -37,6 +37,7 @@ class Config(Mechanism):
     needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     uses_history: ClassVar = True
     widening: ClassVar = 2.0
+    leaves: ClassVar = 0.3
 
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None

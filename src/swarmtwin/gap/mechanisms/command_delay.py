@@ -21,6 +21,7 @@ class Config(Mechanism):
     quantities: ClassVar = {"delay_s": Quantity(0.0, 1.0, 0.0, "s", (0.1,))}
     needs: ClassVar[tuple[SituationPart, ...]] = ("previous_command",)
     uses_history: ClassVar = True
+    leaves: ClassVar = 0.3
 
     name: Literal["command_delay"] = "command_delay"
     delay_s: float
