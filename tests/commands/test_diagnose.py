@@ -179,3 +179,14 @@ def test_constant_commands_are_refused(drives, tmp_path, capfd):
         expected=1,
     )
     assert "constant command" in capfd.readouterr().err
+
+
+def test_an_extended_simulation_is_not_diagnosed_again(drives, diagnosed, tmp_path, capfd):
+    given = (
+        f"simulation={diagnosed / 'simulation'}",
+        f"measured={drives / 'clean'}",
+        f"reference={drives / 'reference'}",
+    )
+    call("diagnose", "robot=mgr", *given, f"output={tmp_path / 'out'}", expected=1)
+    assert "diagnose the one that it extends" in capfd.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -21,6 +21,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.gap.diagnosing import diagnose
 from swarmtwin.gap.diagnosis import Diagnosis, Gain
+from swarmtwin.gap.extended import ExtendedDynamics
 from swarmtwin.gap.finding import Finding
 from swarmtwin.gap.reference import Reference
 from swarmtwin.gap.report import write_report
@@ -91,6 +92,11 @@ def _reference(options: Options, folder: Path | None, measured: Recording) -> tu
     if options.situation is not None:
         raise UserError("situation=... is for a simulation learned from reference=DIR: a trained one has its own")
     dynamics, provenance = load_simulation(folder, options.robot)
+    if isinstance(dynamics, ExtendedDynamics):
+        raise UserError(
+            f"{folder} is an extended simulation, as a diagnosis leaves it: diagnose the one that it extends, or learn "
+            "from a recording in which nothing is wrong, reference=DIR without simulation"
+        )
     _refuse_overlap(provenance.learned, measured, f"the recording that {folder} was trained on")
     if options.reference is None:
         evidence = load_evidence(folder)
