@@ -6,7 +6,7 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data lock
+.PHONY: help setup run test benchmark lint ui data dependencies lock
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
@@ -15,6 +15,7 @@ help:
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
 	@echo "make benchmark  speed and memory, as figures and ratios"
 	@echo "make data       drive the stand-in robots again: the recordings in data/, anew"
+	@echo "make dependencies  write into dvc.yaml which code each stage hangs on, after imports have changed"
 	@echo "make lock       pin the environment as it is installed now in constraints.txt"
 
 setup: .venv/installed
@@ -35,10 +36,13 @@ run: setup  # the robots' pipelines side by side; a refused promotion is an answ
 	-$(BIN)/swarmtwin promote robot=mur what=policy candidate=artifacts/policies/mur/pair
 	$(BIN)/swarmtwin experiment name=overview
 
-pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time
+pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time; who finds it busy tries again
 pipeline@%:
 	@sleep $(or $(WAIT),0)
-	@bash -o pipefail -c '$(BIN)/dvc repro comparison@$* real_and_synthetic@$* $(if $(filter mgr,$*),diagnosis@$*) transfer@$* 2>&1 | sed -u "s/^/$*: /"'
+	@bash -o pipefail -c 'for try in 1 2 3 4 5; do \
+	  $(BIN)/dvc repro comparison@$* real_and_synthetic@$* $(if $(filter mgr,$*),diagnosis@$*) transfer@$* 2>&1 \
+	    | tee .$*.partial | sed -u "s/^/$*: /"; status=$$?; \
+	  grep -q "Unable to acquire lock" .$*.partial || break; sleep 15; done; rm -f .$*.partial; exit $$status'
 
 test: setup
 	$(BIN)/dvc pull --quiet data
@@ -67,6 +71,9 @@ data: setup  # what the paper had, and a later session of the ground robot that 
 	$(RECORD) robot=mur vehicle=2 transitions=1372 steps=49 seed=6 output=data/mur/other_vehicle
 	$(RECORD) robot=mur vehicle=1 runs=20 steps=60 seed=7 output=data/mur/open_loop
 	$(BIN)/dvc add --quiet data && $(BIN)/dvc push --quiet data
+
+dependencies: setup
+	$(BIN)/python -m swarmtwin.tracking.pipeline
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > constraints.txt

@@ -7,45 +7,48 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "swarmtwin"
 
-FOUNDATION = {"configuration", "errors", "files", "geometry", "kinds", "plotting", "robot"}
+GROUND = {"configuration", "errors", "files", "geometry", "kinematics", "plotting", "plugins", "robot"}
+ORDER = ("recordings", "transitions", "learning", "dynamics", "simulation")
 MAY_IMPORT = {
-    "configuration": set(),
+    "configuration": {"plugins"},
     "errors": set(),
     "files": {"errors"},
     "geometry": set(),
-    "kinds": {"errors", "robot"},
+    "kinematics": {"plugins", "robot"},
     "plotting": set(),
-    "robot": {"errors"},
-    "recordings": FOUNDATION,
-    "transitions": FOUNDATION | {"recordings"},
-    "trainer": set(),
-    "weights": {"errors", "files"},
-    "dynamics": FOUNDATION | {"recordings", "transitions", "processes", "trainer", "weights"},
-    "generators": FOUNDATION | {"transitions", "trainer", "weights"},
-    "processes": {"errors"},
-    "world": FOUNDATION | {"recordings", "transitions", "dynamics"},
-    "policies": FOUNDATION | {"gap", "dynamics", "world", "trainer", "weights", "processes"},
-    "gap": FOUNDATION | {"recordings", "transitions", "dynamics", "weights"},
-    "gate": {"errors", "geometry"},
-    "standin": {"robot", "geometry", "errors"},
-    "tracking": FOUNDATION,
-    "registry": FOUNDATION | {"tracking"},
+    "plugins": {"errors"},
+    "robot": {"errors", "kinematics", "plugins"},
+    "recordings": GROUND,
+    "transitions": GROUND | {"recordings"},
+    "learning": GROUND | {"recordings", "transitions"},
+    "dynamics": GROUND | {"recordings", "transitions", "learning"},
+    "generators": GROUND | {"recordings", "transitions", "learning"},
+    "simulation": GROUND | set(ORDER),
+    "diagnosis": GROUND | set(ORDER),
+    "world": GROUND | set(ORDER),
+    "policies": GROUND | {*ORDER, "world"},
+    "standin": {"robot", "geometry", "errors", "plugins"},
+    "tracking": GROUND,
+    "studies": GROUND | {*ORDER, "generators", "diagnosis", "world", "policies", "standin", "tracking"},
     "commands": None,
 }
 
 
-def imported_rooms(path):
-    """The rooms of swarmtwin that a file imports from."""
+def imported_modules(path):
+    """The modules of swarmtwin that a file imports from."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
-            modules = (
-                [node.module] if node.module != "swarmtwin" else [f"swarmtwin.{alias.name}" for alias in node.names]
-            )
+            modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
         elif isinstance(node, ast.Import):
             modules = [alias.name for alias in node.names]
         else:
             continue
-        yield from (module.split(".")[1] for module in modules if module.startswith("swarmtwin."))
+        yield from (module for module in modules if module.startswith("swarmtwin."))
+
+
+def imported_rooms(path):
+    """The rooms of swarmtwin that a file imports from."""
+    return {module.split(".")[1] for module in imported_modules(path)}
 
 
 def room_of(path):
@@ -67,9 +70,24 @@ def test_every_room_named_here_exists():
     assert set(MAY_IMPORT) <= {room_of(path) for path in PACKAGE.rglob("*.py")}
 
 
-def test_only_commands_and_tests_know_the_stand_ins():
+def test_only_studies_commands_and_tests_know_the_stand_ins():
     knowing = {room_of(path) for path in PACKAGE.rglob("*.py") if "standin" in set(imported_rooms(path))}
-    assert knowing <= {"commands", "standin"}
+    assert knowing <= {"commands", "studies", "standin"}
+
+
+def test_only_evaluation_and_those_who_record_stand_ins_read_what_they_would_do_on_average():
+    """The exact means tell what nobody can measure: nothing that learns, simulates or diagnoses may see them."""
+    reading = {
+        room_of(path) if room_of(path) in ("commands", "studies") else str(path.relative_to(PACKAGE))
+        for path in PACKAGE.rglob("*.py")
+        if "swarmtwin.recordings.exact_means" in set(imported_modules(path))
+    }
+    assert reading <= {"simulation/evaluation.py", "simulation/best_prediction.py", "commands", "studies"}
+    diagnosing = ("diagnosis", "commands/diagnose.py", "simulation/mechanism", "studies/hidden_effects")
+    knowing = {"swarmtwin.recordings.exact_means", "swarmtwin.simulation.best_prediction"}
+    for path in PACKAGE.rglob("*.py"):
+        if str(path.relative_to(PACKAGE)).startswith(diagnosing):
+            assert not knowing & set(imported_modules(path)), path
 
 
 def test_no_room_is_nameless():

@@ -8,6 +8,9 @@ from hypothesis.extra.numpy import arrays
 from swarmtwin.geometry import (
     compose,
     displacement_between,
+    exp_map,
+    integrate_twist,
+    log_map,
     orientation_error_rad,
     position_error_mm,
     rotate,
@@ -63,6 +66,37 @@ def test_errors_are_distance_and_wrapped_angle():
     predicted, measured = np.array([[3.0, 4.0, 3.1]]), np.array([[0.0, 0.0, -3.1]])
     assert position_error_mm(predicted, measured)[0] == 5
     assert orientation_error_rad(predicted, measured)[0] == pytest.approx(2 * np.pi - 6.2)
+
+
+twists = arrays(float, (5, 3), elements=st.floats(-1, 1, allow_nan=False, width=32)).map(lambda t: t * [100, 100, 6])
+
+
+@given(twists)
+def test_the_logarithm_undoes_the_exponential(twist):
+    np.testing.assert_allclose(log_map(exp_map(twist)), twist, atol=1e-6)
+
+
+@given(twists, st.integers(1, 7))
+def test_a_twist_is_the_same_motion_over_and_over(twist, parts):
+    """The motion of a twist is its parts', one after the other: a constant velocity in the body's frame."""
+    reached = np.zeros_like(twist)
+    for _ in range(parts):
+        reached = compose(reached, exp_map(twist / parts))
+    close(reached, exp_map(twist) * [1, 1, 0] + wrap_angle(exp_map(twist)) * [0, 0, 1])
+
+
+def test_a_quarter_of_a_circle_is_driven_in_the_time_it_takes():
+    ahead = np.array([50.0 * np.pi, 0.0, np.pi / 2])
+    np.testing.assert_allclose(integrate_twist(ahead, 1.0), [100, 100, np.pi / 2])
+    np.testing.assert_allclose(integrate_twist(ahead / 4, 4.0), [100, 100, np.pi / 2])
+    still = exp_map(np.array([3.0, -4.0, 0.0]))
+    np.testing.assert_allclose(still, [3, -4, 0])
+
+
+def test_twists_of_tensors_and_arrays_agree():
+    twist = np.random.default_rng(0).normal(size=(4, 7, 3))
+    for function in (exp_map, log_map, lambda values: integrate_twist(values, 0.7)):
+        np.testing.assert_allclose(function(torch.tensor(twist)).numpy(), function(twist), atol=1e-12)
 
 
 def test_tensors_and_arrays_agree_and_tensors_carry_gradients():

@@ -46,7 +46,7 @@ def synthetic(real):
     made = dataclasses.replace(
         transitions, **nothing, runs=runs, vehicles=("synthetic",), vehicle=np.zeros_like(transitions.vehicle)
     )
-    origin = GeneratorOrigin(name="diffusion", digest="d1", seed=1, real_transitions=400)
+    origin = GeneratorOrigin(name="residual_diffusion", digest="d1", seed=1, real_transitions=400)
     return made, preparation.model_copy(update={"origin": "synthetic", "generator": origin, "learned": ("other",)})
 
 

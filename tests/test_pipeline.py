@@ -1,13 +1,13 @@
 """dvc.yaml: every stage can run, hangs on all that shapes it, and reruns only when some of that changed."""
 
+import functools
 import itertools
+import json
 import os
-import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import hydra
 import pandas as pd
@@ -16,98 +16,89 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from swarmtwin.commands import COMMANDS
 from swarmtwin.commands.app import run_command
-from swarmtwin.standin import truth
+from swarmtwin.standin.physics import Physics
+from swarmtwin.tracking.pipeline import PRESENTATION, Pipeline, with_dependencies
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PIPELINE = yaml.safe_load((REPOSITORY / "dvc.yaml").read_text())
+FILE = yaml.safe_load((REPOSITORY / "dvc.yaml").read_text())
 AFFORDED = yaml.safe_load((REPOSITORY / "conf" / "pipeline.yaml").read_text())
-
-
-class Stage(NamedTuple):
-    """A stage with its places filled in: for one robot, one model, one policy."""
-
-    name: str
-    arguments: list[str]
-    deps: list[str]
-    params: dict[str, list[str] | None]
-    outs: list[str]
-
-    @property
-    def options(self):
-        return dict(argument.split("=", 1) for argument in self.arguments[1:])
-
-
-def filled_in():
-    """Name and content of every stage."""
-    for name, template in PIPELINE["stages"].items():
-        if "foreach" in template:
-            for key, item in template["foreach"].items():
-                values = {"key": key, **{f"item.{field}": value for field, value in item.items()}}
-                yield f"{name}@{key}", with_values(template["do"], values)
-            continue
-        content = {key: value for key, value in template.items() if key != "matrix"}
-        for chosen in itertools.product(*template["matrix"].values()):
-            values = {f"item.{key}": value for key, value in zip(template["matrix"], chosen, strict=True)}
-            yield f"{name}@{'-'.join(chosen)}", with_values(content, values)
-
-
-def with_values(content, values):
-    """A stage's content with its places filled in."""
-    text = yaml.safe_dump(content, width=1000)
-    for key, value in {**AFFORDED, **values}.items():
-        text = text.replace(f"${{{key}}}", str(value))
-    return yaml.safe_load(text)
-
-
-def stages():
-    for name, stage in filled_in():
-        program, *words = shlex.split(stage["cmd"])
-        assert program == "${swarmtwin}"
-        params = {file: keys for entry in stage["params"] for file, keys in entry.items()}
-        outs = [path for out in stage["outs"] for path in out]
-        yield Stage(name, words, stage["deps"], params, outs)
-
-
-STAGES = {stage.name: stage for stage in stages()}
+PIPELINE = Pipeline(REPOSITORY)
+STAGES = PIPELINE.stages
+TRAINING = ("synthetic", "dynamics", "synthetic_dynamics", "policies")
 every_stage = pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 
 
-def composed(stage):
+def names(group):
+    return {file.stem for file in (REPOSITORY / "conf" / group).glob("*.yaml")}
+
+
+def code(stage):
+    """The code that a stage hangs on, as paths below `src/swarmtwin/`."""
+    return {str(file.relative_to("src/swarmtwin")) for file in PIPELINE.code[stage]}
+
+
+@functools.cache
+def composed(name):
     """The stage's configuration as Hydra puts it together, and the choices of groups in it."""
-    name = f"experiment/{stage.options['name']}" if stage.arguments[0] == "experiment" else stage.arguments[0]
+    stage = STAGES[name]
     with hydra.initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
-        config = hydra.compose(name, stage.arguments[1:], return_hydra_config=True)
+        config = hydra.compose(stage.config_name, list(stage.arguments[1:]), return_hydra_config=True)
     return config, dict(config.hydra.runtime.choices)
 
 
-def test_every_model_there_is_is_trained_and_every_robot_that_was_recorded():
-    dynamics = PIPELINE["stages"]["dynamics"]["matrix"]
-    assert sorted(dynamics["model"]) == sorted(path.stem for path in (REPOSITORY / "conf" / "model").glob("*.yaml"))
-    robots = {
-        tuple(stage["matrix"]["robot"])
-        for name, stage in PIPELINE["stages"].items()
-        if "matrix" in stage and name != "diagnosis"  # of the robots with a later session
+def test_what_the_pipeline_is_run_for_exists():
+    assert set(AFFORDED["robots"]) <= names("robot")
+    assert set(AFFORDED["models"]) <= names("model")
+    assert set(AFFORDED["generators"]) <= names("generator")
+    assert set(AFFORDED["policies"]) <= names("task")
+    assert {policy["robot"] for policy in AFFORDED["policies"].values()} <= set(AFFORDED["robots"])
+
+
+def test_every_recorded_robot_is_in_the_pipeline():
+    if not (REPOSITORY / "data").is_dir():
+        pytest.skip("no data/: dvc pull")
+    recorded = {folder.name: folder for folder in (REPOSITORY / "data").iterdir() if folder.is_dir()}
+    assert set(AFFORDED["robots"]) == set(recorded)
+    later = {name for name, folder in recorded.items() if (folder / "later_session").is_dir()}
+    assert set(AFFORDED["diagnosed_robots"]) == later
+
+
+def test_the_file_hangs_its_stages_on_the_code_that_their_commands_import():
+    assert with_dependencies(PIPELINE) == (REPOSITORY / "dvc.yaml").read_text(), "run `make dependencies`"
+
+
+def test_a_stage_hangs_on_its_own_plugins_alone():
+    assert "dynamics/models/crnet.py" in code("dynamics@mgr-crnet")
+    assert "dynamics/models/gru.py" not in code("dynamics@mgr-crnet")
+    assert "generators/models/gan.py" not in code("synthetic@mgr-residual_diffusion")
+    assert "kinematics/tail_fin.py" not in code("dynamics@mgr-kinematic")
+    assert "policies/algorithms/ppo.py" not in code("policies@collective")
+
+
+def test_a_stage_hangs_on_the_plugins_of_those_that_it_reads():
+    assert {"dynamics/models/crnet.py"} == {
+        file for file in code("policies@pair") if file.startswith("dynamics/models/c")
     }
-    assert robots == {tuple(dynamics["robot"])}
-    later = {path.parent.name for path in (REPOSITORY / "data").glob("*/later_session")} or {"mgr"}
-    assert set(PIPELINE["stages"]["diagnosis"]["matrix"]["robot"]) == later
+    for model in AFFORDED["models"]:
+        assert f"dynamics/models/{model}.py" in code("comparison@mgr")
 
 
-def test_every_generator_there_is_is_trained_and_every_task_learned():
-    generators = PIPELINE["stages"]["synthetic"]["matrix"]["generator"]
-    assert sorted(generators) == sorted(path.stem for path in (REPOSITORY / "conf" / "generator").glob("*.yaml"))
-    tasks = PIPELINE["stages"]["policies"]["foreach"]
-    assert sorted(tasks) == sorted(path.stem for path in (REPOSITORY / "conf" / "task").glob("*.yaml"))
+@pytest.mark.parametrize("name", STAGES)
+def test_every_stage_hangs_on_what_all_computing_stands_on(name):
+    assert {"geometry.py", "robot.py", "transitions/transitions.py"} <= code(name)
 
 
-def test_both_robots_have_their_recordings():
-    dynamics = PIPELINE["stages"]["dynamics"]["matrix"]
-    if (REPOSITORY / "data").is_dir():
-        assert sorted(dynamics["robot"]) == sorted(
-            path.name for path in (REPOSITORY / "data").iterdir() if path.is_dir()
-        )
+@pytest.mark.parametrize("name", [name for name, stage in STAGES.items() if stage.template in TRAINING])
+def test_no_training_hangs_on_a_picture(name):
+    assert not PIPELINE.is_last(name)
+    drawing = [file for file in code(name) if any(Path(file).match(pattern) for pattern in PRESENTATION)]
+    assert not drawing
+
+
+@pytest.mark.parametrize("pattern", PRESENTATION)
+def test_every_pattern_of_pictures_and_reports_fits_a_file(pattern):
+    assert any(file.match(pattern) for file in (REPOSITORY / "src").rglob("*") if file.is_file())
 
 
 @every_stage
@@ -122,15 +113,22 @@ def test_the_parameters_a_stage_hangs_on_exist(stage):
 @every_stage
 def test_a_stage_calls_its_command_with_options_that_exist(stage):
     OverridesParser.create().parse_overrides(stage.arguments[1:])
-    config, _ = composed(stage)
+    config, _ = composed(stage.name)
     assert not [key for key in config if key != "hydra" and OmegaConf.is_missing(config, key)]
-    assert [config.output] == stage.outs
+    assert [config.output] == list(stage.outs)
+
+
+@every_stage
+def test_a_stage_chooses_what_hydra_composes_of_it(stage):
+    _, choices = composed(stage.name)
+    for group, chosen in PIPELINE.choices[stage.name].items():
+        assert chosen == {choice for key, choice in choices.items() if key.partition("@")[0] == group and choice}
 
 
 @every_stage
 def test_a_stage_hangs_on_the_choices_of_its_command(stage):
     """A robot's file shapes the transitions, which hold it; what follows hangs on it through them."""
-    _, choices = composed(stage)
+    _, choices = composed(stage.name)
     shaping = {
         "prepare": ("robot", "split"),
         "generate": ("generator",),
@@ -145,7 +143,7 @@ def test_a_stage_hangs_on_the_choices_of_its_command(stage):
 
 @every_stage
 def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
-    config, _ = composed(stage)
+    config, _ = composed(stage.name)
     names = (
         *("recording", "transitions", "generators", "models", "simulation", "policies"),
         *("train_vehicle", "other_vehicle", "open_loop"),
@@ -160,14 +158,14 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
 
 
 @every_stage
-def test_code_that_a_stage_hangs_on_exists(stage):
+def test_what_a_stage_hangs_on_of_the_code_exists(stage):
     assert not [path for path in stage.deps if path.startswith("src/") and not (REPOSITORY / path).exists()]
 
 
 @pytest.mark.parametrize("kind", ["metrics", "plots"])
 def test_metrics_and_plots_lie_in_what_a_stage_makes(kind):
     made = [out for stage in STAGES.values() for out in stage.outs]
-    for entry in PIPELINE[kind]:
+    for entry in FILE[kind]:
         path = entry if isinstance(entry, str) else next(iter(entry))
         assert any(Path(path).is_relative_to(out) for out in made), path
 
@@ -178,36 +176,31 @@ def repository(tmp_path_factory):
     folder = tmp_path_factory.mktemp("repository")
     for name in ("conf", "src"):
         shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
-    small = (REPOSITORY / "dvc.yaml").read_text().replace(str_of_models(), "model: [kinematic, mlp]")
-    (folder / "dvc.yaml").write_text(small)
+    shutil.copy(REPOSITORY / "dvc.yaml", folder)
     for model in ("kinematic", "mlp"):
         change(folder / "conf" / "model" / f"{model}.yaml", steps=20)
     change(folder / "conf" / "recipe" / "fast.yaml", batch_size=128)
     for model in ("crnet", "mlp"):
         change(folder / "conf" / "model" / f"{model}.yaml", steps=20)
-    change(folder / "conf" / "generator" / "diffusion.yaml", members=2, trend_steps=20, noise_steps=20)
-    change(folder / "conf" / "pipeline.yaml", synthetic_transitions=400)
+    change(folder / "conf" / "generator" / "residual_diffusion.yaml", members=2, mean_model_steps=20, noise_steps=20)
+    change(folder / "conf" / "pipeline.yaml", models=["kinematic", "mlp"], synthetic_transitions=400)
     program = folder / ".venv" / "bin" / "swarmtwin"
     program.parent.mkdir(parents=True)
     program.write_text(f'#!/bin/sh\nPYTHONPATH={folder}/src exec {sys.executable} -m swarmtwin_here "$@"\n')
     program.chmod(0o755)
     (folder / "src" / "swarmtwin_here.py").write_text("from swarmtwin.commands import main\nmain()\n")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(truth, "BANK_ROWS", 2048)
+        patch.setattr(Physics, "bank_rows", 2048)
         for robot, (number, recording) in itertools.product(
             ("mgr", "mur"), enumerate(("reference", "other_vehicle", "open_loop"))
         ):
             options = [f"robot={robot}", "runs=20", "steps=15", f"seed={number + 1}"]
             output = f"output={folder}/data/{robot}/{recording}"
-            assert run_command("record", COMMANDS["record"].module, [*options, output]) == 0
+            assert run_command("record", [*options, output]) == 0
     call(folder, "git", "init", "--quiet")
     dvc(folder, "init", "--quiet")
     dvc(folder, "repro", "--quiet", "comparison@mgr")
     return folder
-
-
-def str_of_models():
-    return f"model: [{', '.join(PIPELINE['stages']['dynamics']['matrix']['model'])}]"
 
 
 def change(file, **values):
@@ -233,6 +226,12 @@ def reran(folder, *targets):
     return {line.split("'")[1] for line in shown.splitlines() if line.startswith("Running stage")}
 
 
+def stale(folder, *targets):
+    """Return the names of the stages, among those that lead to targets, whose code, data or parameters have changed."""
+    changed = json.loads(dvc(folder, "status", "--json", "--with-deps", *targets))
+    return {name for name, reasons in changed.items() if any("changed deps" in reason for reason in reasons)}
+
+
 def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     table = pd.read_csv(repository / "artifacts" / "comparison" / "mgr" / "table.csv")
     assert set(table.model) == {"kinematic", "mlp", "crnet-S"}
@@ -247,3 +246,23 @@ def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     assert (artifacts / "kinematic" / "history.csv").read_bytes() == before["kinematic"]
     assert len(pd.read_csv(artifacts / "mlp" / "history.csv")) > before["mlp"].count(b"\n") - 1
     assert reran(repository, "comparison@mgr") == set()
+
+
+def test_a_line_in_a_plot_makes_no_training_stale_and_one_in_the_geometry_all_of_it(repository):
+    source = repository / "src" / "swarmtwin"
+    add_line(source / "dynamics" / "error_plots.py")
+    assert stale(repository, "comparison@mgr") == {"comparison@mgr"}
+    add_line(source / "dynamics" / "models" / "mlp.py")
+    assert stale(repository, "comparison@mgr") == {"dynamics@mgr-mlp", "comparison@mgr"}
+    add_line(source / "geometry.py")
+    leading_there = {
+        "transitions@mgr",
+        "synthetic@mgr-residual_diffusion",
+        "dynamics@mgr-kinematic",
+        "synthetic_dynamics@mgr",
+    }
+    assert stale(repository, "comparison@mgr") >= leading_there
+
+
+def add_line(file):
+    file.write_text(file.read_text() + "\n# another line\n")

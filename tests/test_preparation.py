@@ -1,4 +1,4 @@
-"""Splits by run, scaling from the training part only, and the folder that keeps both."""
+"""Splits by run, and the folder that keeps them."""
 
 import dataclasses
 import json
@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from drives import drive, header_of
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import Arena
 from swarmtwin.transitions import (
     SPLITS,
     Fractions,
-    Scaling,
     from_recording,
     load_preparation,
     load_transitions,
     save_transitions,
     split_by_run,
 )
-from swarmtwin.transitions.preparation import describe, load_scaling, save_preparation
+from swarmtwin.transitions.preparation import describe, save_preparation
 
 FRACTIONS = Fractions(train=0.85, validation=0.05, test=0.10)
 
@@ -118,31 +118,6 @@ def test_fractions_must_sum_to_one():
         Fractions.parse({"train": 0.9, "validation": 0.1, "test": 0.1}, "here")
 
 
-# ---- scaling
-
-
-def test_the_scaling_is_that_of_the_training_part(transitions):
-    split = split_by_run(transitions, FRACTIONS, seed=1)
-    train = split.part("train")
-    forward = Scaling.learn(split).displacement["forward_mm"]
-    assert (forward.low, forward.high) == (train.displacement[:, 0].min(), train.displacement[:, 0].max())
-    assert forward.mean == pytest.approx(train.displacement[:, 0].mean())
-    assert forward.sd == pytest.approx(train.displacement[:, 0].std())
-    assert Scaling.learn(split).situation["right"].high == train.command[:, 1].max()
-
-
-@pytest.mark.parametrize("held_out", ["validation", "test"])
-def test_an_outlier_in_a_held_out_split_does_not_move_the_scaling(transitions, held_out):
-    split = split_by_run(transitions, FRACTIONS, seed=1)
-    reference = Scaling.learn(split)
-    for name in ("command", "pose", "displacement", "time_s", "duration_s"):
-        planted = getattr(split, name).copy()
-        planted[split.split == SPLITS.index(held_out)] *= 1e6
-        assert Scaling.learn(dataclasses.replace(split, **{name: planted})) == reference
-        planted[split.split == SPLITS.index("train")] *= 1e6
-        assert Scaling.learn(dataclasses.replace(split, **{name: planted})) != reference
-
-
 # ---- the folder
 
 
@@ -172,6 +147,24 @@ def test_a_file_of_an_old_version_has_no_earlier_commands(transitions, tmp_path)
     np.testing.assert_array_equal(loaded.previous_command, transitions.previous_command)
 
 
+def test_the_arena_is_the_recording_s_own(recording, tmp_path):
+    own = Arena(x=(-20, 1400), y=(0, 1200))
+    moved = dataclasses.replace(recording, header=recording.header.model_copy(update={"arena_mm": own}))
+    transitions, counts = from_recording(moved)
+    split = split_by_run(transitions, FRACTIONS, seed=1)
+    save_preparation(tmp_path, split, describe(moved, "monday", split, counts, FRACTIONS, seed=1))
+    assert load_transitions(tmp_path).arena_mm == load_preparation(tmp_path).arena_mm == own
+
+
+def test_a_folder_of_an_old_version_has_the_robot_s_usual_arena(transitions, tmp_path):
+    save_transitions(tmp_path, transitions)
+    file = tmp_path / "transitions.parquet"
+    table = pyarrow.parquet.read_table(file)
+    metadata = {name: value for name, value in table.schema.metadata.items() if name != b"arena_mm"}
+    pyarrow.parquet.write_table(table.replace_schema_metadata(metadata), file)
+    assert load_transitions(tmp_path).arena_mm == transitions.robot.arena_mm
+
+
 def test_runs_without_transitions_keep_their_place(transitions, tmp_path):
     save_transitions(tmp_path, few := of_sizes(transitions, [3, 0, 4]))
     loaded = load_transitions(tmp_path)
@@ -189,10 +182,9 @@ def test_the_preparation_tells_where_transitions_come_from(recording, transition
     assert preparation.counts.model_dump() == dataclasses.asdict(counts)
     assert sorted(run for runs in preparation.runs.values() for run in runs) == list(recording.runs)
     assert sum(preparation.transitions.values()) == counts.kept
-    assert load_scaling(tmp_path) == Scaling.learn(split)
 
 
-@pytest.mark.parametrize("load", [load_transitions, load_preparation, load_scaling])
+@pytest.mark.parametrize("load", [load_transitions, load_preparation])
 def test_a_folder_without_the_files_is_refused(load, tmp_path):
     with pytest.raises(UserError, match=r"(parquet|json) is missing: name a folder that swarmtwin prepare made$"):
         load(tmp_path)
@@ -214,6 +206,6 @@ def test_a_damaged_preparation_is_refused(tmp_path):
         UserError, match=r"preparation.json: not valid JSON \(.*\): make it again with swarmtwin prepare$"
     ):
         load_preparation(tmp_path)
-    (tmp_path / "scaling.json").write_text(json.dumps({"situation": {}, "displacment": {}}))
-    with pytest.raises(UserError, match="displacement"):
-        load_scaling(tmp_path)
+    (tmp_path / "preparation.json").write_text(json.dumps({"robot": "mgr"}))
+    with pytest.raises(UserError, match=r"preparation\.json: field 'recording': Field required"):
+        load_preparation(tmp_path)

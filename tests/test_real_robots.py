@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmtwin.commands import COMMANDS
 from swarmtwin.commands.app import run_command
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.transitions import from_recording
@@ -19,7 +18,7 @@ pytestmark = pytest.mark.skipif(
 
 
 def call(*arguments):
-    assert run_command(arguments[0], COMMANDS[arguments[0]].module, list(arguments[1:])) == 0
+    assert run_command(arguments[0], list(arguments[1:])) == 0
 
 
 @pytest.fixture(scope="module")

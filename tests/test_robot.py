@@ -48,6 +48,10 @@ def test_a_robot_of_ones_own_is_one_file(tmp_path):
         ({"arena_mm": {"x": [5, 0], "y": [0, 1]}}, "the lower bound must be below the upper one, got [5.0, 0.0]"),
         ({"command": {"x_mm": {"low": 0, "high": 1, "unit": "mm"}}}, "command column 'x_mm' is a reserved name"),
         ({"situation": ["pose"]}, "situation must contain 'command'"),
+        (
+            {"kinematics": "unicicle"},
+            "field 'kinematics': Value error, no such kinematics: 'unicicle': did you mean 'unicycle'?",
+        ),
         ({"command": {}}, "field 'command': Dictionary should have at least 1 item"),
     ],
 )
@@ -62,3 +66,21 @@ def test_a_wrong_robot_file_is_one_clear_error(tmp_path, changes, message):
 def test_a_missing_robot_names_those_there_are():
     with pytest.raises(UserError, match=r"no robot file .*mgrr.yaml: did you mean 'mgr'\? known: create, mgr, mur"):
         Robot.load(MGR.with_name("mgrr.yaml"))
+
+
+def test_a_field_that_was_removed_is_told_and_left_alone(tmp_path, caplog):
+    """Robots' files and stored models of earlier versions may state it."""
+    usual = Robot.load(changed(tmp_path, actuators={"kind": "thrust"}))
+    assert not caplog.records
+    stated = {"kind": "thrust", "strength_exponents": [1.2, 2.0, 1.7]}
+    assert Robot.load(changed(tmp_path, actuators=stated)) == usual
+    (told,) = caplog.messages
+    assert "strength_exponents has no effect any more" in told
+    assert "take the line out" in told
+
+
+def test_the_shipped_robots_state_nothing_that_only_a_maker_of_stand_ins_could_know():
+    for file in MGR.parent.glob("*.yaml"):
+        content = yaml.safe_load(file.read_text())
+        assert "unit_spread" not in content
+        assert "strength_exponents" not in (content["actuators"] or {})

@@ -8,6 +8,10 @@ class UserError(Exception):
     """Something the user can put right: its message names what is wrong, where, and the remedy."""
 
 
+class RefusedError(UserError):
+    """An answer that is "no", such as a gate's: nothing was wrong with the question."""
+
+
 def near_miss(word: str, known: Iterable[str]) -> str:
     """Return a remedy for an unknown `word`: the known word meant, if one is near, and all known words."""
     known = sorted(known)

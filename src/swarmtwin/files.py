@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -151,3 +152,17 @@ def _restore_interrupted_replacement(path: Path) -> None:
     if former.exists() and not path.exists():
         former.replace(path)
     shutil.rmtree(former, ignore_errors=True)
+
+
+def output_folder(chosen: Path | None, command: str, name: str) -> Path:
+    """Return the folder asked for, or claim the first free `outputs/<command>/<name>-<number>` by making it, empty."""
+    if chosen is not None:
+        return chosen
+    for number in count(1):
+        folder = Path("outputs") / command / f"{name}-{number:03}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError

@@ -1,13 +1,18 @@
 """What a robot is: its commands, its period and what is believable of its motion, from one file in `conf/robot/`."""
 
+import logging
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from swarmtwin import kinematics
 from swarmtwin.errors import UserError, near_miss
+from swarmtwin.kinematics import KinematicEquations
+from swarmtwin.plugins import PluginRegistry
 
 POSE_COLUMNS = ("x_mm", "y_mm", "heading_rad")
 DISPLACEMENT_COLUMNS = ("forward_mm", "left_mm", "turn_rad")
@@ -16,7 +21,6 @@ RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
 SituationPart = Literal[
     "command", "previous_command", "earlier_command", "pose", "elapsed_s", "duration_s", "neighbours"
 ]
-Kinematics = Literal["differential_drive", "unicycle", "tail_fin"]
 Positive = Annotated[float, Field(gt=0)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 
@@ -27,6 +31,7 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
+logger = logging.getLogger(__name__)
 Bounds = Annotated[tuple[float, float], AfterValidator(_increasing)]
 
 
@@ -110,21 +115,29 @@ class Actuators(StrictModel):
         kind: `wheel`: speed follows the command, and what grips less goes less far; `thrust`: fins, propellers, jets
             push against a drag.
         effort: the command columns that each say how hard one actuator works; of wheels the left and the right one.
-            None where the command is a forward speed and a turn rate (kinematics `unicycle`). Left out: all columns of
-            a differential drive, the second one, an amplitude, of a tail fin.
+            None where the command is a forward speed and a turn rate. Left out: as usual for the robot's kinematics.
         steering: of thrust, the command column that is its angle in degrees, if one is.
         track_mm: of wheels, the distance between left and right; null: learned from the recording where the command
             names each wheel.
-        strength_exponents: how displacement (forward, left, turn) goes with an actuator's speed. Wheels: in proportion.
-            Thrust grows with the square, and so does motion against linear drag; against quadratic drag motion is in
-            proportion. Left out: in proportion.
     """
 
     kind: Literal["wheel", "thrust"]
     effort: tuple[str, ...] = ()
     steering: str | None = None
     track_mm: Positive | None = None
-    strength_exponents: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_strength_exponents(cls, content: Any) -> Any:
+        """Files of earlier versions state how motion grows with an actuator's speed; it is learned now."""
+        if not isinstance(content, dict) or "strength_exponents" not in content:
+            return content
+        if content["strength_exponents"] not in ([1.0, 1.0, 1.0], (1.0, 1.0, 1.0)):
+            logger.warning(
+                "actuators: strength_exponents has no effect any more, since how motion grows with an actuator's speed "
+                "is learned from recordings: take the line out"
+            )
+        return {name: value for name, value in content.items() if name != "strength_exponents"}
 
     def columns(self) -> tuple[str, ...]:
         """Return the command columns that it names."""
@@ -143,11 +156,11 @@ class Robot(StrictModel):
         arena_mm: the usual arena; each recording states its own.
         largest_displacement: the outlier limits of one transition.
         situation: what its dynamics models are given (the paper: command for the MGR, command and pose for the MUR).
-        kinematics: the kinematic model fitted as a baseline.
+        kinematics: the file in `kinematics/` that says how a command moves it; fitted, it is a baseline.
         vehicle_size_mm: footprint (length, width), for pictures and collisions.
         actuators: what moves it; null: as usual for its kinematics.
-        unit_spread: by which share the actuators of two units of this robot usually differ (standard deviation): a
-            smaller difference between vehicles is no gap.
+        unit_spread: by which share the actuators of two units of this robot differ (standard deviation), where a lab
+            has measured it; null: a diagnosis estimates it from the units of its reference, or takes a generic one.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -158,10 +171,17 @@ class Robot(StrictModel):
     arena_mm: Arena
     largest_displacement: LargestDisplacement
     situation: tuple[SituationPart, ...]
-    kinematics: Kinematics
+    kinematics: str
     vehicle_size_mm: tuple[Positive, Positive]
     actuators: Actuators | None = None
-    unit_spread: Annotated[float, Field(ge=0, lt=0.5)] = 0.03
+    unit_spread: Annotated[float, Field(gt=0, lt=0.5)] | None = None
+
+    @field_validator("kinematics")
+    @classmethod
+    def _known_kinematics(cls, name: str) -> str:
+        if name not in KINEMATICS.names():
+            raise ValueError(f"no such kinematics: {name!r}: {near_miss(name, KINEMATICS.names())}")
+        return name
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -191,24 +211,19 @@ class Robot(StrictModel):
             raise UserError(f"{path} is not valid YAML: {error}") from None
         return cls.parse(content, str(path))
 
-    @property
+    def kinematic_equations(self) -> KinematicEquations:
+        """Return the equations that its kinematics names."""
+        return KINEMATICS.plugin_class(self.kinematics)()
+
+    @cached_property
     def actuation(self) -> Actuators:
         """Its actuators: as stated, and where nothing is, as is usual for its kinematics."""
-        usual = self._usual_actuators()
+        usual = self.kinematic_equations().usual_actuators(self)
         if self.actuators is None:
             return usual
         if self.actuators.kind != usual.kind:
             return self.actuators
         return usual.model_copy(update={name: value for name, value in self.actuators if value})
-
-    def _usual_actuators(self) -> Actuators:
-        if self.kinematics == "unicycle":
-            return Actuators(kind="wheel", track_mm=self.vehicle_size_mm[1])
-        if self.kinematics == "differential_drive":
-            return Actuators(kind="wheel", effort=self.command_columns)
-        angle, amplitude = (*self.command_columns, None)[:2]
-        effort = (amplitude,) if amplitude else ()
-        return Actuators(kind="thrust", effort=effort, steering=angle)
 
     @property
     def command_columns(self) -> tuple[str, ...]:
@@ -230,3 +245,8 @@ class Robot(StrictModel):
         """Largest believable absolute displacement over one period, (3,): mm, mm, rad."""
         largest = self.largest_displacement
         return np.array([largest.forward_mm, largest.left_mm, largest.turn_rad])
+
+
+KINEMATICS: PluginRegistry[KinematicEquations] = PluginRegistry(
+    kinematics, "kinematics", group="robot", field="kinematics", ends_in="Equations"
+)

@@ -11,14 +11,13 @@ from torch import nn
 
 from swarmtwin.commands.app import config_folder, run_command
 from swarmtwin.dynamics.evaluation import floor, model_error, one_step
+from swarmtwin.dynamics.model_config import config_class
 from swarmtwin.dynamics.models.crnet import CRNet
-from swarmtwin.dynamics.open_loop import open_loop, summary
-from swarmtwin.dynamics.recipe import Recipe
-from swarmtwin.dynamics.registry import config_class
 from swarmtwin.dynamics.training import train
+from swarmtwin.learning.recipe import Recipe
+from swarmtwin.recordings.exact_means import mean_columns, read_exact_means
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.robot import DISPLACEMENT_COLUMNS
-from swarmtwin.standin.truth import read_truth
+from swarmtwin.simulation.open_loop import open_loop, summary
 from swarmtwin.transitions import Fractions, from_recording, split_by_run
 
 SIZES = {"mgr": 55_068, "mur": 15_000}
@@ -34,7 +33,7 @@ def recorded(robots, tmp_path_factory):
         if name not in loaded:
             folder = tmp_path_factory.mktemp(name) / "recording"
             options = [f"robot={name}", f"transitions={SIZES[name]}", "steps=60", "seed=1", f"output={folder}"]
-            assert run_command("record", "record", options) == 0
+            assert run_command("record", options) == 0
             loaded[name] = load_recorded(folder, robots[name])
         return loaded[name]
 
@@ -46,10 +45,10 @@ def load_recorded(folder, robot):
     recording = read_recording(folder, robot)
     transitions, _ = from_recording(recording)
     transitions = split_by_run(transitions, Fractions(train=0.8, validation=0.1, test=0.1), seed=1)
-    truth = read_truth(folder)
-    truth.index = zip(truth.run, truth.time_s.round(3), strict=True)
+    exact = read_exact_means(folder)
+    exact.index = zip(exact.run, exact.time_s.round(3), strict=True)
     rows = list(zip(np.array(transitions.runs)[transitions.run], transitions.time_s.round(3), strict=True))
-    means = truth.loc[rows, [f"situation_{column}" for column in DISPLACEMENT_COLUMNS]].to_numpy(float)
+    means = exact.loc[rows, mean_columns("situation")].to_numpy(float)
     test_runs = {transitions.runs[index] for index in np.unique(transitions.part("test").run)}
     return transitions, means, [track for track in recording.tracks if track.run in test_runs]
 

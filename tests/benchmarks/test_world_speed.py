@@ -8,10 +8,11 @@ import torch
 import yaml
 
 from swarmtwin.configuration import config_folder
-from swarmtwin.dynamics.base import Dynamics
-from swarmtwin.dynamics.registry import config_class, model_names
+from swarmtwin.dynamics.model_config import config_class, model_names
+from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.world.motion import SimulatedMotion
-from swarmtwin.world.registry import task_config
+from swarmtwin.world.task import task_config
 from swarmtwin.world.world import World
 
 MEASURED_S = 1.0
@@ -62,8 +63,8 @@ def test_speed_of_the_group_by_model_and_number_of_worlds(robots):
             if name == "nothing moves":
                 motion = Nothing(task.robot, worlds, task.vehicles)
             else:
-                dynamics = Dynamics(task.robot, config_class(name)())
-                motion = SimulatedMotion(dynamics, worlds, task.vehicles)
+                dynamics = NetworkDynamics(task.robot, config_class(name)())
+                motion = SimulatedMotion(Simulation(dynamics), worlds, task.vehicles)
             rates[name, worlds] = vehicle_steps_per_s(World(task, motion, worlds, seed=0))
     print(f"\ncollective, 5 vehicles: times the authors' {PUBLISHED:,} vehicle-steps/s, by number of worlds")
     for name in ("nothing moves", *model_names()):

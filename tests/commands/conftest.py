@@ -7,9 +7,8 @@ from typing import NamedTuple
 import mlflow
 import pytest
 
-from swarmtwin.commands import COMMANDS
 from swarmtwin.commands.app import run_command
-from swarmtwin.standin import truth
+from swarmtwin.standin.physics import Physics
 
 RECORDINGS = {
     "reference": ("vehicle=1", "runs=30", "steps=30", "seed=1"),
@@ -35,7 +34,7 @@ class Answer(NamedTuple):
 
 def run(*arguments):
     """Run a command in this process; return its exit status."""
-    return run_command(arguments[0], COMMANDS[arguments[0]].module, [str(argument) for argument in arguments[1:]])
+    return run_command(arguments[0], [str(argument) for argument in arguments[1:]])
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +44,7 @@ def library(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("MLFLOW_TRACKING_URI", raising=False)
-        patch.setattr(truth, "BANK_ROWS", 4096)
+        patch.setattr(Physics, "bank_rows", 4096)
         mlflow.MlflowClient(f"sqlite:///{folder / 'mlflow.db'}").search_registered_models()
         shutil.copy("mlflow.db", "empty.db")
         for name, options in RECORDINGS.items():

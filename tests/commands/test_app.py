@@ -10,8 +10,10 @@ import hydra
 import pytest
 from omegaconf import OmegaConf
 
+from swarmtwin import commands
 from swarmtwin.commands import COMMANDS
 from swarmtwin.commands.app import run_command
+from swarmtwin.commands.experiment import studies
 from swarmtwin.configuration import config_folder
 
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
@@ -33,8 +35,7 @@ def recording(workplace):
 
 def call(*arguments):
     """Run a command in this process; return its exit status."""
-    module = COMMANDS[arguments[0]].module
-    return run_command(arguments[0], module, list(arguments[1:]))
+    return run_command(arguments[0], list(arguments[1:]))
 
 
 def test_a_command_runs_and_its_output_knows_its_configuration(recording, workplace):
@@ -57,16 +58,16 @@ def test_a_command_runs_and_its_output_knows_its_configuration(recording, workpl
             "no such robot: 'mgrr': did you mean 'mgr'? known: create, mgr, mur",
         ),
         (["prepare", "splt.seed=1", "output=out"], 2, "unknown option 'splt.seed': did you mean 'split'?"),
-        (["train", "vehicles=[]", "recording=none", "output=out"], 1, "field 'vehicles': Tuple should have at least 1"),
+        (["train", "vehicles=[]", "recording=none", "output=out"], 2, "field 'vehicles': Tuple should have at least 1"),
         (["prepare", "output=out"], 2, "option 'recording' is missing: add recording=..."),
         (
             ["prepare", "recording=none", "output=out", "split.seed=x"],
-            1,
+            2,
             "field 'split.seed': Input should be a valid integer",
         ),
-        (["prepare", "recording=none", "output=out"], 1, "no recording folder none"),
-        (["experiment", "output=out"], 1, "say which: name=..."),
-        (["experiment", "name=dynamcs"], 1, "no such experiment: 'dynamcs': did you mean 'dynamics'?"),
+        (["prepare", "recording=none", "output=out"], 2, "no recording folder none"),
+        (["experiment", "output=out"], 2, "say which: name=..."),
+        (["experiment", "name=dynamcs"], 2, "no such experiment: 'dynamcs': did you mean 'dynamics'?"),
     ],
 )
 def test_a_mistake_is_one_line_that_names_the_remedy(workplace, capfd, arguments, status, message):
@@ -92,11 +93,34 @@ def test_a_fault_of_the_system_is_one_line(recording, workplace, capfd, monkeypa
         raise fault
 
     monkeypatch.setattr("swarmtwin.commands.prepare.save_preparation", fail)
-    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 1
+    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 2
     error = capfd.readouterr().err
     assert "the disk is full" in error or "no permission" in error
     assert "Traceback" not in error
     assert [path.name for path in workplace.iterdir()] == ["recording"]
+
+
+@pytest.mark.parametrize("outputs_can_be_made", [True, False])
+def test_a_defect_of_ours_is_one_line_that_names_the_log_with_its_traceback(
+    recording, workplace, capfd, monkeypatch, outputs_can_be_made
+):
+    def fail(*arguments):
+        raise ValueError("seven is not eight\nnor nine")
+
+    monkeypatch.setattr("swarmtwin.commands.prepare.save_preparation", fail)
+    monkeypatch.setattr("tempfile.tempdir", str(recording))
+    if not outputs_can_be_made:
+        (workplace / "outputs").write_text("a file")
+    assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 1
+    line = capfd.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith(
+        "swarmtwin prepare: ValueError seven is not eight: a defect of swarmtwin; please report it with"
+    )
+    log = Path(line.split()[-1])
+    assert log.parent == (Path("outputs/errors") if outputs_can_be_made else recording)
+    assert "in fail" in log.read_text()
+    assert log.read_text().startswith("swarmtwin prepare robot=mgr")
+    assert not (workplace / "out").exists()
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
@@ -144,15 +168,29 @@ def test_an_unknown_command_names_the_one_meant():
     assert answer.stderr.startswith("swarmtwin: unknown command 'trian': did you mean 'train'?")
 
 
+def test_each_study_is_one_folder_and_one_configuration():
+    configured = {path.stem for path in (config_folder() / "experiment").glob("*.yaml")}
+    assert set(studies()) == configured
+    assert "dynamics" in configured
+
+
+def test_each_command_of_the_table_is_a_module_and_none_is_forgotten():
+    folder = Path(commands.__file__).parent
+    modules = {path.stem for path in folder.glob("*.py")} - {"__init__", "app"}
+    assert {command.module for command in COMMANDS.values()} == modules
+
+
 def primary_configs():
-    yield from ((name, name, command.module) for name, command in COMMANDS.items() if name != "experiment")
-    for path in sorted((config_folder() / "experiment").glob("*.yaml")):
-        yield f"experiment-{path.stem}", f"experiment/{path.stem}", f"experiments.{path.stem}"
+    for name, command in COMMANDS.items():
+        if name != "experiment":
+            yield name, name, f"swarmtwin.commands.{command.module}"
+    for name in studies():
+        yield f"experiment-{name}", f"experiment/{name}", f"swarmtwin.studies.{name}.study"
 
 
 @pytest.mark.parametrize(("config", "module"), [pytest.param(c, m, id=i) for i, c, m in primary_configs()])
 def test_every_command_has_a_configuration_that_its_options_accept(config, module):
-    options = importlib.import_module(f"swarmtwin.commands.{module}").Options
+    options = importlib.import_module(module).Options
     with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
         composed = hydra.compose(config)
     for key in [key for key in composed if OmegaConf.is_missing(composed, key)]:

@@ -6,14 +6,13 @@ import shutil
 import pandas as pd
 import pytest
 
-from swarmtwin.commands import COMMANDS
 from swarmtwin.commands.app import run_command
 from swarmtwin.dynamics.evaluation import predict
 from swarmtwin.dynamics.provenance import Provenance
-from swarmtwin.gap.store import load_dynamics
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.registry import versions
-from swarmtwin.standin import truth
+from swarmtwin.simulation.simulation_folder import load_simulation
+from swarmtwin.standin.physics import Physics
+from swarmtwin.tracking.registry import versions
 from swarmtwin.transitions import from_recording
 
 SAG = "effects=[{name: battery_sag, loss: 0.35}]"
@@ -21,7 +20,7 @@ SAG = "effects=[{name: battery_sag, loss: 0.35}]"
 
 def call(*arguments, expected=0):
     """Run a command in this process; return its exit status, which must be the one expected."""
-    status = run_command(arguments[0], COMMANDS[arguments[0]].module, [str(argument) for argument in arguments[1:]])
+    status = run_command(arguments[0], [str(argument) for argument in arguments[1:]])
     assert status == expected
     return status
 
@@ -34,7 +33,7 @@ def drives(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.delenv("MLFLOW_TRACKING_URI", raising=False)
-        patch.setattr(truth, "BANK_ROWS", 4096)
+        patch.setattr(Physics, "bank_rows", 4096)
         call(*record, "runs=60", "seed=3", f"output={folder / 'reference'}")
         call(*record, "runs=60", "seed=4", SAG, f"output={folder / 'sag'}")
         call(*record, "runs=60", "seed=6", f"output={folder / 'clean'}")
@@ -63,7 +62,7 @@ def test_an_ageing_battery_is_named_with_its_loss(diagnosed):
 
 
 def test_the_extended_simulation_is_a_dynamics_model_like_any_other(drives, diagnosed):
-    extended = load_dynamics(diagnosed / "simulation")
+    extended = load_simulation(diagnosed / "simulation")
     transitions, _ = from_recording(read_recording(drives / "sag", extended.robot))
     predicted = predict(extended, transitions)
     assert predicted.shape == (len(transitions), 3)
@@ -105,8 +104,8 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
     )
     diagnosis = json.loads((output / "diagnosis.json").read_text())
     assert [cause["name"] for cause in diagnosis["causes"]] == ["battery_sag"]
-    extended = load_dynamics(output / "simulation")
-    assert extended.base.dynamics.config.name == "mlp"
+    extended = load_simulation(output / "simulation")
+    assert extended.dynamics.dynamics.config.name == "mlp"
 
 
 def test_the_same_seed_gives_the_same_answer(drives, diagnosed):
@@ -154,8 +153,8 @@ def test_the_answer_book_is_not_read(drives, tmp_path, diagnosed):
 )
 def test_what_cannot_be_concluded_is_said_in_one_line(drives, tmp_path, options, message, capfd):
     given = [option.format(drives) for option in options]
-    status = call("diagnose", *given, f"output={tmp_path / 'out'}", expected=1)
-    assert status == 1
+    status = call("diagnose", *given, f"output={tmp_path / 'out'}", expected=2)
+    assert status == 2
     said = capfd.readouterr().err
     assert message in said
     assert "Traceback" not in said
@@ -176,7 +175,7 @@ def test_constant_commands_are_refused(drives, tmp_path, capfd):
         f"reference={drives / 'reference'}",
         f"measured={constant}",
         f"output={tmp_path / 'out'}",
-        expected=1,
+        expected=2,
     )
     assert "constant command" in capfd.readouterr().err
 
@@ -187,6 +186,6 @@ def test_an_extended_simulation_is_not_diagnosed_again(drives, diagnosed, tmp_pa
         f"measured={drives / 'clean'}",
         f"reference={drives / 'reference'}",
     )
-    call("diagnose", "robot=mgr", *given, f"output={tmp_path / 'out'}", expected=1)
+    call("diagnose", "robot=mgr", *given, f"output={tmp_path / 'out'}", expected=2)
     assert "diagnose the one that it extends" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()

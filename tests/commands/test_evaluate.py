@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 from safetensors.numpy import load_file, save_file
 
+from swarmtwin.dynamics.model_folder import load_dynamics
 from swarmtwin.dynamics.provenance import Provenance
-from swarmtwin.dynamics.situation import Situation
-from swarmtwin.dynamics.store import load_dynamics
+from swarmtwin.learning.situation import Situation
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.transitions import from_recording
 
@@ -78,7 +78,7 @@ def test_of_its_own_recording_only_test_runs_count(evaluate, model, workshop, ro
     assert metrics["held_out_runs"] is True
     assert metrics["open_loop"]["runs"] == len(test_runs)
     dynamics = load_dynamics(folder)
-    predicted = dynamics(Situation.from_transitions(part, dynamics.parts)).detach().numpy().astype(float)
+    predicted = dynamics(Situation.from_transitions(part, dynamics.inputs)).detach().numpy().astype(float)
     same_errors(metrics["one_step"], by_hand(predicted, part.displacement))
 
 
@@ -92,7 +92,7 @@ def test_of_another_recording_everything_counts_against_the_exact_mean(evaluate,
     metrics = evaluate(folder, "other_vehicle")
     transitions = transitions_of(robots["mgr"], workshop / "other_vehicle")
     dynamics = load_dynamics(folder)
-    predicted = dynamics(Situation.from_transitions(transitions, dynamics.parts)).detach().numpy().astype(float)
+    predicted = dynamics(Situation.from_transitions(transitions, dynamics.inputs)).detach().numpy().astype(float)
     exact = answers(workshop / "other_vehicle", transitions, "situation")
     assert metrics["held_out_runs"] is False
     assert metrics["floor"]["kind"] == "exact"
@@ -101,15 +101,55 @@ def test_of_another_recording_everything_counts_against_the_exact_mean(evaluate,
     same_errors(metrics["model_error"], by_hand(predicted, exact))
 
 
-def test_the_floor_of_a_model_that_knows_the_command_before_is_the_one_given_everything(
-    swarmtwin, evaluate, workshop, robots
-):
+@pytest.fixture
+def knowing(swarmtwin, workshop):
+    """A model that looks at the command before."""
     training = ("model=mlp", "model.situation=[command,previous_command]", "recipe.epochs=2", "seeds=1")
     swarmtwin("train", "recording=reference", *training, "register=false", "output=knowing")
-    metrics = evaluate("knowing", "other_vehicle")
+    return "knowing"
+
+
+def test_a_model_s_floor_knows_what_the_model_knows(knowing, evaluate, workshop, robots):
+    metrics = evaluate(knowing, "other_vehicle")
     transitions = transitions_of(robots["mgr"], workshop / "other_vehicle")
-    exact = answers(workshop / "other_vehicle", transitions, "everything")
+    dynamics = load_dynamics(workshop / knowing)
+    predicted = dynamics(Situation.from_transitions(transitions, dynamics.inputs)).detach().numpy().astype(float)
+    exact = answers(workshop / "other_vehicle", transitions, "previous_command")
+    assert metrics["floor"]["kind"] == "exact"
+    assert metrics["floor"]["given"] == ["command", "previous_command"]
     same_errors(metrics["floor"], by_hand(exact, transitions.displacement))
+    same_errors(metrics["model_error"], by_hand(predicted, exact))
+
+
+def test_two_floors_stand_side_by_side(evaluate, model, workshop, robots):
+    metrics = evaluate(model("mlp"), "other_vehicle")
+    transitions = transitions_of(robots["mgr"], workshop / "other_vehicle")
+    for known, level in (("situation", "situation"), ("history", "earlier_command")):
+        exact = answers(workshop / "other_vehicle", transitions, level)
+        assert metrics["floors"][known]["kind"] == "exact"
+        same_errors(metrics["floors"][known], by_hand(exact, transitions.displacement))
+    assert metrics["floors"]["situation"] == metrics["floor"]
+    assert metrics["floors"]["history"]["given"] == ["command", "previous_command", "earlier_command"]
+    lags = [metrics["floors"][known]["position_mm"]["mean"] for known in ("history", "situation")]
+    assert lags[0] < 0.85 * lags[1]
+
+
+def test_beside_an_old_recording_the_floor_given_the_history_is_averaged_and_said_to_be(knowing, evaluate, workshop):
+    """Exact means of older versions are given the true state: a floor must not be that of the state."""
+    recorded = evaluate(knowing, "other_vehicle")["floor"]
+    file = workshop / "other_vehicle" / "truth.parquet"
+    table = pd.read_parquet(file)
+    state = table.filter(like="earlier_command_").to_numpy() + np.random.default_rng(1).normal(0, [2, 2, 0.04])
+    kept = table.drop(columns=table.filter(regex="^(previous|earlier)_command_").columns)
+    columns = [f"everything_{name}" for name in ("forward_mm", "left_mm", "turn_rad")]
+    kept.join(pd.DataFrame(state, columns=columns)).to_parquet(file)
+    metrics = evaluate(knowing, "other_vehicle")
+    assert metrics["floor"]["kind"] == "averaged_exact_means"
+    assert metrics["floors"]["situation"]["kind"] == "exact"
+    lowest, estimate, highest = (
+        figure["position_mm"]["mean"] for figure in (recorded, metrics["floor"], metrics["floors"]["situation"])
+    )
+    assert lowest < estimate < highest
 
 
 def test_the_figures_of_the_vehicles_pool_to_the_overall_ones(evaluate, model):
@@ -179,7 +219,7 @@ def test_who_saw_everything_is_refused(swarmtwin, workshop):
     training = ("model=kinematic", "recipe.epochs=1", "seeds=1", "register=false", fractions)
     swarmtwin("train", "recording=reference", *training, "output=greedy")
     answer = swarmtwin("evaluate", "simulation=greedy", "recording=reference", "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error == (
         "swarmtwin evaluate: the model was trained on every run of recording 'reference': "
         "evaluate on another recording, or train with a test fraction above 0\n"
@@ -216,7 +256,7 @@ def rename_layers(folder):
 def test_a_damaged_model_is_refused_in_one_line(swarmtwin, model, workshop, damage, message):
     damage(model("mlp"))
     answer = swarmtwin("evaluate", "simulation=mlp", "recording=other_vehicle", "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.startswith(f"swarmtwin evaluate: {message}")
     assert len(answer.error.strip().splitlines()) == 1
     assert not (workshop / "out").exists()
@@ -249,7 +289,7 @@ def test_what_does_not_fit_is_refused_in_one_line(swarmtwin, model, workshop, op
     model("mlp")
     shutil.copy("pair/truth.parquet", "reference/truth.parquet")
     answer = swarmtwin("evaluate", *options, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.startswith(f"swarmtwin evaluate: {message}")
     assert len(answer.error.strip().splitlines()) == 1
     assert not (workshop / "out").exists()

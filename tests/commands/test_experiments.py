@@ -1,6 +1,7 @@
 """`swarmtwin experiment`: the table's numbers are those of `evaluate`, and the best is chosen by validation alone."""
 
 import json
+import re
 from html.parser import HTMLParser
 
 import mlflow
@@ -8,13 +9,13 @@ import pandas as pd
 import pytest
 import yaml
 
-from swarmtwin.gap.diagnosis import Cause, Diagnosis, Estimate, Gain, Gains
-from swarmtwin.tracking import use_store
+from swarmtwin.diagnosis.result import Cause, DiagnosisResult, Estimate, Gain, Gains
+from swarmtwin.tracking.runs import use_store
 
 RECORDINGS = {"train_vehicle": "reference", "other_vehicle": "other_vehicle", "open_loop": "open_loop"}
 COMPARISON = ("experiment", "name=dynamics", "models=models", *(f"{name}={path}" for name, path in RECORDINGS.items()))
 
-SAG = Diagnosis(
+SAG = DiagnosisResult(
     verdict="explained",
     causes=(
         Cause(
@@ -118,7 +119,7 @@ def test_position_and_orientation_weigh_alike_in_the_choice(swarmtwin, models, w
 )
 def test_what_is_missing_is_one_line(swarmtwin, models, workshop, options, message):
     answer = swarmtwin(*COMPARISON, *options, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.startswith(f"swarmtwin experiment: {message}")
     assert len(answer.error.strip().splitlines()) == 1
     assert not (workshop / "out").exists()
@@ -142,7 +143,7 @@ class Page(HTMLParser):
 def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swarmtwin, models, workshop):
     overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
     answer = swarmtwin(*overview)
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error == (
         "swarmtwin experiment: artifacts/comparison/mgr holds no comparison of models: run `dvc repro` first\n"
     )
@@ -169,6 +170,18 @@ def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swar
         assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in answer.shown
 
 
+def test_the_overview_marks_the_best_of_two_models_of_one_kind(swarmtwin, models, workshop):
+    plant_validation(models["rough"], 1.0, 1.0)
+    swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
+    swarmtwin(*COMPARISON, "output=artifacts/comparison/mgr")
+    answer = swarmtwin("experiment", "name=overview", "robots=[mgr]", "output=overview")
+    assert "rough *" in answer.shown
+    assert "mlp *" not in answer.shown
+    text = (workshop / "overview" / "overview.html").read_text()
+    assert re.search(r'<tr class="best">\s*<td>rough</td>', text)
+    assert not re.search(r'<tr class="best">\s*<td>mlp</td>', text)
+
+
 def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
     overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
     swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
@@ -193,5 +206,5 @@ def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
 
     (folder / "diagnosis.json").write_text("{")
     answer = swarmtwin(*overview, "overwrite=true")
-    assert answer.status == 1
+    assert answer.status == 2
     assert "artifacts/diagnosis/mgr/diagnosis.json is damaged" in answer.error

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 import yaml
 
-from swarmtwin import registry
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.files import folder_digest
-from swarmtwin.tracking import use_store
+from swarmtwin.tracking import registry
+from swarmtwin.tracking.runs import use_store
 from swarmtwin.transitions import load_preparation, load_transitions
 
-QUICK = ("generator.trend_steps=40", "generator.noise_steps=40", "generator.batch_size=64")
+QUICK = ("generator.mean_model_steps=40", "generator.noise_steps=40", "generator.batch_size=64")
 GENERATE = ("generate", "robot=mgr", "recording=reference", *QUICK)
 TRAIN = ("train", "model=mlp", "model.steps=60", "recipe.batch_size=128", "seeds=1")
 
@@ -37,7 +37,7 @@ def test_the_whole_way_to_a_simulation_on_a_machine_without_recordings(swarmtwin
     provenance = Provenance.read(workshop / "simulation")
     assert (provenance.origin, provenance.generator.seed) == ("synthetic", 7)
     tags = registry.find_version("models:/mgr-dynamics@challenger").tags
-    assert (tags["origin"], tags["generator"]) == ("synthetic", "diffusion")
+    assert (tags["origin"], tags["generator"]) == ("synthetic", "residual_diffusion")
 
     (workshop / "elsewhere").rename(workshop / "reference")
     evaluation = ("evaluate", "simulation=simulation", "recording=reference", "output=evaluation")
@@ -113,7 +113,7 @@ def test_a_sweep_is_one_parent(swarmtwin, workshop):
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, options, message):
     answer = swarmtwin("generate", *options, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert message in answer.error
     assert "Traceback" not in answer.error
     assert not (workshop / "out").exists()
@@ -127,12 +127,12 @@ def test_a_given_generator_stands_alone(swarmtwin, workshop):
         (("real=300",), "from=... draws from a trained generator, which needs no real=...: leave one"),
     ):
         answer = swarmtwin("generate", "from=made/generator", *options, "output=out")
-        assert answer.status == 1
+        assert answer.status == 2
         assert message in answer.error
         assert not (workshop / "out").exists()
     assert swarmtwin("generate", "from=made/generator", "robot=mgr", "count=300", "output=out").status == 0
     again = swarmtwin(*GENERATE[:2], "transitions=made/transitions", "output=third")
     assert "made/transitions holds synthetic transitions: a generator learns from real ones only" in again.error
     answer = swarmtwin(*TRAIN, "transitions=made/transitions", "model.situation=[command,previous_command]")
-    assert answer.status == 1
+    assert answer.status == 2
     assert "the model looks at previous_command, which these transitions do not hold" in answer.error

@@ -33,7 +33,7 @@ def options(robots, data_set, tmp_path):
     def with_changes(**changes):
         chosen = {
             "robot": robots["create"].model_dump(),
-            "source": "mrclam",
+            "source": {"name": "mrclam"},
             "path": str(data_set),
             "vehicles": None,
             "run_s": 5,
@@ -81,8 +81,8 @@ def test_the_table_counts_by_vehicle(options, capsys):
 
 def test_an_unknown_source_is_refused(options, tmp_path):
     with pytest.raises(UserError) as refused:
-        import_recording.run(options(source="mrclan"))
-    assert str(refused.value) == "unknown source 'mrclan': did you mean 'mrclam'? known: mrclam"
+        import_recording.run(options(source={"name": "mrclan"}))
+    assert str(refused.value) == "no such source: 'mrclan': did you mean 'mrclam'? known: mrclam"
 
 
 def test_what_goes_wrong_leaves_nothing_behind(options, data_set, tmp_path):

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 import yaml
 
-from swarmtwin import registry
-from swarmtwin.policies.store import load_policy
-from swarmtwin.tracking import use_store
+from swarmtwin.policies.policy_folder import load_policy
+from swarmtwin.tracking import registry
+from swarmtwin.tracking.runs import use_store
 
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
 TASK = ("task=obstacle", "task.steps=40", "task.reach_mm=300", "task.distance_mm=360", "task.radius_mm=[5,10]")
@@ -106,21 +106,21 @@ def test_an_interrupted_command_goes_on_to_the_same_policy(swarmtwin, model, wor
     [
         (
             ["simulation=null"],
-            1,
+            2,
             "no simulation in artifacts/dynamics/mgr/crnet_synthetic: run `dvc repro` first, or give simulation=...",
         ),
-        (["simulation=mlp", "robot=mur", "task=pair"], 1, "mlp is a model of robot 'mgr': add robot=mgr"),
-        (["simulation=nowhere"], 1, "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERS"),
+        (["simulation=mlp", "robot=mur", "task=pair"], 2, "mlp is a model of robot 'mgr': add robot=mgr"),
+        (["simulation=nowhere"], 2, "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERS"),
         (["simulation=mlp", "policy=ddgp"], 2, "no such policy: 'ddgp': did you mean 'ddpg'? known: ddpg, ppo, sac"),
         (["simulation=mlp", "task=obstacles"], 2, "no such task: 'obstacles': did you mean 'obstacle'?"),
         (["simulation=mlp", "policy.gama=1"], 2, "unknown option 'policy.gama': did you mean 'policy.gamma'?"),
-        (["simulation=mlp", "policy.gamma=1"], 1, "policy: field 'gamma': Input should be less than 1, got 1"),
+        (["simulation=mlp", "policy.gamma=1"], 2, "policy: field 'gamma': Input should be less than 1, got 1"),
         (
             ["simulation=mlp", "task=collective", "task.vehicles=1"],
-            1,
+            2,
             "task: field 'vehicles': Input should be greater",
         ),
-        (["simulation=mlp", "task=collective", "task.vehicles=100"], 1, "task 'collective': 100 vehicles"),
+        (["simulation=mlp", "task=collective", "task.vehicles=100"], 2, "task 'collective': 100 vehicles"),
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, model, workshop, options, status, message):
@@ -140,7 +140,7 @@ def test_a_simulation_with_weights_that_are_not_finite_is_refused(swarmtwin, mod
     weights["network.0.bias"] = weights["network.0.bias"] * float("nan")
     save_file(weights, path)
     answer = swarmtwin(*QUICK, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert "network.0.bias is not finite" in answer.error
     assert not (workshop / "out").exists()
 
@@ -148,7 +148,7 @@ def test_a_simulation_with_weights_that_are_not_finite_is_refused(swarmtwin, mod
 def test_where_every_seed_fails_nothing_is_left(swarmtwin, model, workshop):
     model("mlp")
     answer = swarmtwin(*QUICK, "policy.learning_rate=1e30", "seeds=1", "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert "every seed has failed (seed 1: its weights were no longer finite)" in answer.error
     assert not (workshop / "out").exists()
     assert [run.info.status for run in runs()] == ["FAILED"]

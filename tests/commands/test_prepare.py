@@ -58,7 +58,7 @@ def test_the_folder_holds_what_the_recording_gives(robots, recording, options, t
 def test_preparing_twice_gives_the_same_bytes(options, tmp_path):
     prepare.run(options())
     prepare.run(options(output=str(tmp_path / "again")))
-    for name in ("transitions.parquet", "preparation.json", "scaling.json"):
+    for name in ("transitions.parquet", "preparation.json"):
         assert (tmp_path / "prepared" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
@@ -66,7 +66,7 @@ def test_nothing_but_the_provenance_knows_where_the_recording_lay(recording, opt
     prepare.run(options())
     moved = recording.rename(tmp_path / "deeper").rename(tmp_path / "monday")
     prepare.run(options(recording=str(moved), output=str(tmp_path / "again")))
-    for name in ("transitions.parquet", "preparation.json", "scaling.json"):
+    for name in ("transitions.parquet", "preparation.json"):
         content = (tmp_path / "prepared" / name).read_bytes()
         assert str(tmp_path).encode() not in content
         assert content == (tmp_path / "again" / name).read_bytes()

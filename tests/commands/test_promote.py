@@ -7,10 +7,10 @@ import pytest
 import yaml
 from safetensors.numpy import load_file, save_file
 
-from swarmtwin import registry
 from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.dynamics.store import load_dynamics
+from swarmtwin.dynamics.model_folder import load_dynamics
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.tracking import registry
 from swarmtwin.transitions import from_recording
 
 NAME = "mgr-dynamics"
@@ -59,7 +59,7 @@ def change_by_hand(candidate, incumbent):
 
 def test_the_first_champion_must_beat_predicting_the_mean(promote, model):
     answer = promote(shuffle_weights(model("mlp", "garbled")))
-    assert answer.status == 1
+    assert answer.status == 3
     assert re.fullmatch(
         rf"swarmtwin promote: {NAME} version 1 is not promoted: {FIGURES}: not measurably better than predicting the "
         r"mean displacement \(there is no champion yet\) on other_vehicle\n",
@@ -70,14 +70,14 @@ def test_the_first_champion_must_beat_predicting_the_mean(promote, model):
     assert champion_number() == 2
 
 
-def test_a_better_model_takes_the_crown_and_a_worse_one_does_not(promote, model, workshop, robots):
+def test_a_better_model_is_promoted_and_a_worse_one_is_not(promote, model, workshop, robots):
     rough, good = model("rough"), model("mlp")
     assert promote(rough).status == 0
     better = promote(good)
     assert better.status == 0
     assert champion_number() == 2
     worse = promote(rough)
-    assert worse.status == 1
+    assert worse.status == 3
     assert champion_number() == 2
     assert re.fullmatch(
         rf"swarmtwin promote: {NAME} version 1 is not promoted: {FIGURES}: not measurably better than {NAME} version 2 "
@@ -108,7 +108,7 @@ def test_rolling_back_restores_the_champion_before(promote, swarmtwin, model):
     assert (answer.status, answer.shown) == (0, f"{NAME}: version 1 is champion again, version 2 no longer\n")
     assert champion_number() == 1
     answer = swarmtwin("promote", "rollback=true")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error == f"swarmtwin promote: {NAME} version 1 is the first champion: there is none to roll back to\n"
     assert champion_number() == 1
 
@@ -144,7 +144,7 @@ def test_where_one_has_seen_every_run_there_is_no_comparison(promote, model, wit
     runs = [f"run_{number:04d}" for number in range(1, 31)]
     promote(with_test_runs(model("rough"), runs[:8]))
     answer = promote(with_test_runs(model("mlp"), runs[8:14]), "reference")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error == (
         f"swarmtwin promote: {NAME} version 2 and {NAME} version 1 were trained on recording 'reference', and no run "
         "of it is unseen by both: add recording=... with another one\n"
@@ -167,7 +167,7 @@ def test_a_mistake_is_one_line_and_changes_nothing(promote, swarmtwin, model, op
     promote(model("mlp"))
     model("rough")
     answer = swarmtwin("promote", "recording=other_vehicle", *options)
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.startswith(f"swarmtwin promote: {message}")
     assert len(answer.error.strip().splitlines()) == 1
     assert champion_number() == 1

@@ -6,20 +6,21 @@ import pandas as pd
 import pytest
 import yaml
 
-from swarmtwin.commands import record as command
 from swarmtwin.commands.app import config_folder
 from swarmtwin.commands.record import Options, run
 from swarmtwin.errors import UserError
+from swarmtwin.recordings.exact_means import read_exact_means
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.standin import truth
 from swarmtwin.standin.effects import catalogue
-from swarmtwin.standin.truth import TRUTH_COLUMNS, read_truth
+from swarmtwin.standin.physics import Physics
+from swarmtwin.standin.session import StandInSession
+from swarmtwin.studies.stand_in_recording import record as record_session
 from swarmtwin.transitions import from_recording
 
 
 @pytest.fixture(autouse=True)
 def small_bank(monkeypatch):
-    monkeypatch.setattr(truth, "BANK_ROWS", 2048)
+    monkeypatch.setattr(Physics, "bank_rows", 2048)
 
 
 @pytest.fixture
@@ -104,9 +105,9 @@ def test_every_recorded_command_has_its_answer(record, robots):
             ],
             columns=["run", "vehicle", "time_s"],
         )
-        answers = rows.merge(read_truth(folder), on=["run", "vehicle", "time_s"], how="outer", indicator=True)
+        answers = rows.merge(read_exact_means(folder), on=["run", "vehicle", "time_s"], how="outer", indicator=True)
         assert (answers["_merge"] == "both").all()
-        assert answers[list(TRUTH_COLUMNS)].notna().all(axis=None)
+        assert answers.notna().all(axis=None)
 
 
 def test_several_vehicles_share_a_run(record, robots):
@@ -178,10 +179,10 @@ def test_a_drive_that_is_a_folder_is_refused(record, tmp_path):
     assert str(refused.value) == f"drive {tmp_path} cannot be read (Is a directory): name a CSV file"
 
 
-def test_recording_gives_up_when_too_few_transitions_are_usable(record, monkeypatch):
-    monkeypatch.setattr(command, "MOST_ROWS", 5000)
-    with pytest.raises(UserError, match="vehicles: 1\\) is too long: stay below 5,000 rows"):
-        record(transitions=600, lost_poses=0.9)
+def test_recording_gives_up_when_too_few_transitions_are_usable(robots):
+    session = StandInSession(robots["mgr"], vehicles=("1",), runs=100, steps=6, seed=1, lost_poses=0.9)
+    with pytest.raises(UserError, match=r"vehicles: 1\) is too long: stay below 5,000 rows"):
+        record_session(session, transitions=600, most_rows=5000)
 
 
 def test_a_recording_is_not_replaced_unasked(record):

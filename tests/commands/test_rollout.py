@@ -7,10 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from lessons import save_seeker, simulation
-from swarmtwin.commands.rollout import chosen_world
-from swarmtwin.policies.store import load_policy
-from swarmtwin.registry import folder_digest
+from swarmtwin.policies.policy_folder import load_policy
+from swarmtwin.tracking.registry import folder_digest
+from swarmtwin.world.rollout import chosen_world
+from tiny_policies import save_seeker, simulation
 
 ROLLOUT = ("rollout", "policy=seeker", "count=12", "video=false")
 
@@ -99,7 +99,7 @@ def test_what_is_shown_is_what_was_asked_for(seeker, robots):
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, model, workshop, options, message):
     model("mlp")
     answer = swarmtwin(*ROLLOUT, *options, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.startswith(f"swarmtwin rollout: {message}")
     assert len(answer.error.strip().splitlines()) == 1
     assert not (workshop / "out").exists()
@@ -108,7 +108,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, model, workshop, op
 def test_a_simulation_that_is_gone_or_changed_is_told(swarmtwin, workshop, robots, caplog):
     save_seeker(workshop / "seeker", source="kinematic")
     answer = swarmtwin(*ROLLOUT, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error == (
         "swarmtwin rollout: the simulation that seeker was learned in: no model folder kinematic: give a folder, "
         "models:/NAME@ALIAS or models:/NAME/VERSION; or add simulation=...\n"

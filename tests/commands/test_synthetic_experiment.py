@@ -5,8 +5,8 @@ import json
 import pandas as pd
 import pytest
 
-from swarmtwin.commands.experiments.synthetic_cases import CASES, chosen_cases
 from swarmtwin.errors import UserError
+from swarmtwin.studies.synthetic.cases import CASES, chosen_cases
 
 EXPERIMENT = (
     "experiment",
@@ -15,11 +15,12 @@ EXPERIMENT = (
     "train_vehicle=reference",
     "other_vehicle=other_vehicle",
     "generators=none",
-    "generator.trend_steps=60",
+    "generator.mean_model_steps=60",
     "generator.noise_steps=60",
     "generator.batch_size=64",
     "crnet.steps=12",
     "mlp.steps=40",
+    "ensemble.steps=12",
     "recipe.batch_size=128",
     "part=0.5",
     "few=300",
@@ -29,17 +30,18 @@ EXPERIMENT = (
 
 def test_the_table_compares_with_the_model_on_all_real_data(swarmtwin, workshop):
     swarmtwin("prepare", "recording=reference", "output=prepared")
-    cases = "cases=[generator,generator_as_many,mixture_50,mlp_real_part,mlp_generator_few,real_few_epochs]"
+    cases = "cases=[generator,ensemble,generator_as_many,mixture_50,mlp_real_part,mlp_generator_few,real_few_epochs]"
     answer = swarmtwin(*EXPERIMENT, cases, "seeds=2", "output=out")
     assert answer.status == 0, answer.error
     table = pd.read_csv(workshop / "out" / "table.csv")
     train = table[table.recording == "train_vehicle"].set_index("case")
     assert set(table.recording) == {"train_vehicle", "other_vehicle"}
     assert (train.seeds == 2).all()
-    assert train.real["generator"] == train.real["real"]
+    assert train.real["generator"] == train.real["ensemble"] == train.real["real"]
+    assert set(train.inputs) == {"command"}
     assert train.learned_from["generator_as_many"] == train.learned_from["real"]
     assert train.real["mlp_generator_few"] == pytest.approx(300, abs=30)
-    steps = train.steps[["real", "generator", "generator_as_many", "mixture_50"]]
+    steps = train.steps[["real", "ensemble", "generator", "generator_as_many", "mixture_50"]]
     assert steps.max() <= 1.7 * steps.min()
     assert train.steps["real_few_epochs"] < train.steps["real"]
     metrics = json.loads((workshop / "out" / "metrics.json").read_text())
@@ -51,26 +53,28 @@ def test_the_table_compares_with_the_model_on_all_real_data(swarmtwin, workshop)
 
 def test_a_trained_generator_is_taken_where_there_is_one(swarmtwin, workshop, monkeypatch):
     swarmtwin("prepare", "recording=reference", "output=prepared")
-    quick = ("generator.trend_steps=60", "generator.noise_steps=60", "generator.batch_size=64")
-    made = swarmtwin("generate", "robot=mgr", "transitions=prepared", *quick, "output=none/diffusion")
+    quick = ("generator.mean_model_steps=60", "generator.noise_steps=60", "generator.batch_size=64")
+    made = swarmtwin("generate", "robot=mgr", "transitions=prepared", *quick, "output=none/residual_diffusion")
     assert made.status == 0
 
     def refuse(*arguments):
         raise AssertionError("trained anew")
 
-    monkeypatch.setattr("swarmtwin.commands.experiments.synthetic_cases.fit", refuse)
+    monkeypatch.setattr("swarmtwin.studies.synthetic.cases.fit", refuse)
     assert swarmtwin(*EXPERIMENT, "cases=[mlp_generator]", "output=out").status == 0
 
 
-def test_cases_are_known_by_name():
-    assert set(chosen_cases("all")) == set(CASES)
-    assert list(chosen_cases(("mlp_real",))) == ["real", "mlp_real"]
+def test_cases_are_known_by_name(robots):
+    mgr, mur = robots["mgr"], robots["mur"]
+    assert set(chosen_cases("all", mur)) == set(CASES)
+    assert set(CASES) - set(chosen_cases("all", mgr)) == {"real_walls", "real_walls_part", "mlp_walls"}
+    assert list(chosen_cases(("mlp_real",), mgr)) == ["real", "mlp_real"]
     with pytest.raises(UserError, match=r"^cases: no such case: 'mlp_rael': did you mean 'mlp_real'\?"):
-        chosen_cases(("mlp_rael",))
+        chosen_cases(("mlp_rael",), mgr)
 
 
 def test_without_transitions_the_remedy_is_named(swarmtwin, workshop):
     answer = swarmtwin(*EXPERIMENT, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert "no transitions in prepared: run `dvc repro` first, or give transitions=..." in answer.error
     assert not (workshop / "out").exists()

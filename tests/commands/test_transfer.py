@@ -5,7 +5,7 @@ import json
 import pandas as pd
 import pytest
 
-from lessons import save_seeker, simulation
+from tiny_policies import save_seeker, simulation
 
 TRANSFER = ("experiment", "name=transfer", "policies=policies", "count=12", "video=false")
 
@@ -52,6 +52,6 @@ def test_every_policy_has_its_line_its_pictures_and_its_film(swarmtwin, workshop
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, options, message):
     answer = swarmtwin(*TRANSFER, *options, "output=out")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error == f"swarmtwin experiment: {message}\n"
     assert not (workshop / "out").exists()

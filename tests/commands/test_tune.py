@@ -9,7 +9,7 @@ import yaml
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from swarmtwin.tracking import use_store
+from swarmtwin.tracking.runs import use_store
 
 STUDY = ("study=mgr-kinematic",)
 SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", *STUDY)
@@ -87,7 +87,7 @@ def test_values_stay_within_the_space(swarmtwin, workshop):
 def test_a_search_in_which_every_trial_fails_ends(swarmtwin, workshop, caplog):
     hopeless = space(learning_rate="{choices: [1.0e30]}")
     answer = swarmtwin(*SEARCH, *hopeless, "model=mlp", "study=mgr-kinematic", "workers=1", "trials=2")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.splitlines()[-1] == (
         "swarmtwin tune: study 'mgr-kinematic': no trial finished: widen or shift the space"
     )
@@ -151,7 +151,7 @@ def test_a_search_in_which_every_trial_fails_ends(swarmtwin, workshop, caplog):
 )
 def test_a_mistake_is_one_line_and_starts_no_study(swarmtwin, workshop, options, message):
     answer = swarmtwin(*SEARCH, "workers=1", *options)
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.startswith(f"swarmtwin tune: {message}")
     assert "Traceback" not in answer.error
     assert len([line for line in answer.error.splitlines() if "transitions kept" not in line]) == 1
@@ -160,7 +160,7 @@ def test_a_mistake_is_one_line_and_starts_no_study(swarmtwin, workshop, options,
 
 def test_failures_of_two_workers_count(swarmtwin, workshop):
     hopeless = space(learning_rate="{low: 1.0e29, high: 1.0e30}")
-    assert swarmtwin(*SEARCH, *hopeless, "model=mlp", "workers=2", "trials=3").status == 1
+    assert swarmtwin(*SEARCH, *hopeless, "model=mlp", "workers=2", "trials=3").status == 2
     assert [trial.state for trial in study(workshop).get_trials()] == [TrialState.FAIL] * 3
 
 
@@ -201,7 +201,7 @@ def test_a_study_left_unnamed_is_one_of_its_own_for_all_that_changes_its_losses(
 def test_a_named_study_takes_no_trials_of_anything_else(swarmtwin, workshop):
     assert swarmtwin(*SEARCH, "workers=1", "trials=1").status == 0
     answer = swarmtwin(*SEARCH, "recording=other_vehicle", "recipe.epochs=2", "workers=1", "trials=2")
-    assert answer.status == 1
+    assert answer.status == 2
     assert answer.error.splitlines()[-1] == (
         "swarmtwin tune: study 'mgr-kinematic' in outputs/tune/mgr-kinematic.journal was made for another recipe, "
         "data: choose another study=..., or leave it out"

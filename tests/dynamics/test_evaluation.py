@@ -3,26 +3,27 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from toy import exact_displacement, toy_transitions
 
-from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.evaluation import (
     ErrorFigure,
     floor,
     model_error,
-    neighbour_floor,
+    neighbour_prediction,
     one_step,
     predict,
 )
-from swarmtwin.dynamics.neighbours import NeighbourRegression
-from swarmtwin.dynamics.registry import config_class
+from swarmtwin.dynamics.model_config import config_class
+from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.errors import UserError
+from swarmtwin.learning.nearest_neighbours import NeighbourRegression
+from swarmtwin.learning.situation import Situation
+from toy import exact_displacement, toy_transitions
 
 
 @pytest.fixture(scope="module")
 def dynamics(robots):
     torch.manual_seed(0)
-    return Dynamics(robots["mgr"], config_class("kinematic")()).eval()
+    return NetworkDynamics(robots["mgr"], config_class("kinematic")()).eval()
 
 
 def test_errors_by_hand():
@@ -71,11 +72,20 @@ def test_the_floor_of_known_noise_is_that_of_its_distribution(robots):
     assert figure.orientation_deg == pytest.approx(np.degrees(0.05 * np.sqrt(2 / np.pi)), rel=0.022)
 
 
+def neighbour_floor(dynamics, transitions, scored=None):
+    """The error of predictions from nearest neighbours, which are given what a model is given."""
+    with torch.inference_mode():
+        inputs = dynamics.encoding(Situation.from_transitions(transitions, dynamics.inputs)).numpy().astype(float)
+    scored = np.ones(len(transitions), bool) if scored is None else scored
+    predicted, _ = neighbour_prediction(inputs, transitions, scored)
+    return ErrorFigure.between(predicted[scored], transitions.displacement[scored])
+
+
 def test_neighbours_estimate_a_known_floor(robots, dynamics):
     transitions = toy_transitions(robots["mgr"], 8000, noise=(2.0, 2.0, 0.05))
     exact = floor(exact_displacement(transitions.command), transitions).position_mm
     estimate = neighbour_floor(dynamics, transitions)
-    assert exact <= estimate.error.position_mm < 1.05 * exact
+    assert exact <= estimate.position_mm < 1.05 * exact
 
 
 def test_a_floor_can_be_estimated_for_some_transitions_only(robots, dynamics):
@@ -85,8 +95,8 @@ def test_a_floor_can_be_estimated_for_some_transitions_only(robots, dynamics):
     noisier[scored] += np.random.default_rng(1).normal(0, 4, (scored.sum(), 3)) * [1, 1, 0]
     mixed = dataclasses.replace(transitions, displacement=noisier)
     estimate = neighbour_floor(dynamics, mixed, scored)
-    assert estimate.error.transitions == scored.sum()
-    assert estimate.error.position_mm == pytest.approx(np.hypot(2, 4) * np.sqrt(np.pi / 2), rel=0.1)
+    assert estimate.transitions == scored.sum()
+    assert estimate.position_mm == pytest.approx(np.hypot(2, 4) * np.sqrt(np.pi / 2), rel=0.1)
 
 
 def test_a_floor_does_not_depend_on_how_the_runs_are_numbered(robots, dynamics):
@@ -104,7 +114,7 @@ def test_a_floor_from_too_few_transitions_is_refused(robots, dynamics):
             f"the floor cannot be estimated from {count} transitions of a vehicle: 2 inputs need at least 4; "
             "record more runs"
         )
-    assert np.isfinite(neighbour_floor(dynamics, transitions.where(np.arange(50) < 4)).error.position_mm)
+    assert np.isfinite(neighbour_floor(dynamics, transitions.where(np.arange(50) < 4)).position_mm)
 
 
 def test_a_plane_is_regressed_exactly_up_to_the_ridge():

@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
-from toy import recipe, toy_track, toy_transitions
 
+from swarmtwin.dynamics.error_plots import comparison_figure, history_figure, scatter_figure
 from swarmtwin.dynamics.evaluation import ErrorFigure
-from swarmtwin.dynamics.figures import comparison_figure, history_figure, runs_figure, scatter_figure
-from swarmtwin.dynamics.open_loop import open_loop
-from swarmtwin.dynamics.registry import config_class
+from swarmtwin.dynamics.model_config import config_class
 from swarmtwin.dynamics.training import train
+from swarmtwin.simulation.open_loop import open_loop
+from swarmtwin.simulation.open_loop_plots import runs_figure
+from swarmtwin.simulation.simulation import Simulation
+from toy import recipe, toy_track, toy_transitions
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +20,7 @@ def trained(robots):
 
 def test_runs_are_drawn_from_the_best_to_the_worst_with_what_was_measured(robots, trained, tmp_path):
     tracks = [toy_track(robots["mgr"], 20, seed, run=f"run-{seed}") for seed in range(9)]
-    runs = sorted(open_loop(trained.dynamics, tracks), key=lambda run: run.rmse_mm)
+    runs = sorted(open_loop(Simulation(trained.dynamics), tracks), key=lambda run: run.rmse_mm)
     figure = runs_figure(runs[::-1], robots["mgr"].arena_mm, most=5)
     panels = [panel for panel in figure.axes if panel.get_visible()]
     shown = [runs[rank] for rank in (0, 2, 4, 6, 8)]

@@ -4,26 +4,25 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, recipe, toy_transitions
 
-from swarmtwin.dynamics.models.kinematic import Config, TailFin, Unicycle
+from swarmtwin.dynamics.models.kinematic import Config, KinematicModel
 from swarmtwin.dynamics.training import train
-from swarmtwin.dynamics.twist import integrate_twist
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import compose
+from swarmtwin.geometry import compose, integrate_twist
+from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, recipe, toy_transitions
 
 
 def fitted(transitions, steps):
     return train(transitions, Config(steps=steps), recipe(batch_size=128), seeds=[0]).dynamics
 
 
-def planted_transitions(robot, model, planted, seed=1):
+def planted_transitions(robot, planted, seed=1):
     """Noise-free transitions of a kinematic model with the planted values."""
-    network = model(robot)
+    network = KinematicModel(robot)
     with torch.no_grad():
         for name, value in planted.items():
-            quantity = network.quantities[name]
-            free = value / quantity.size if quantity.signed else np.log(value / quantity.size)
+            parameter = network.parameters_by_name[name]
+            free = value / parameter.size if parameter.signed else np.log(value / parameter.size)
             network.free[name].fill_(free)
 
         def mean(command):
@@ -38,19 +37,19 @@ def test_a_twist_held_is_the_limit_of_many_small_steps():
     steps = 20_000
     for _ in range(steps):
         pose = compose(pose, velocities / steps * 0.8)
-    exact = integrate_twist(*torch.tensor(velocities)[:, None], 0.8)[0].numpy()
+    exact = integrate_twist(torch.tensor(velocities), 0.8).numpy()
     np.testing.assert_allclose(exact, pose, atol=1e-2)
 
 
 def test_two_twists_held_one_after_the_other_are_one_held_longer():
-    twist = torch.tensor([[30.0], [10.0], [-1.7]], dtype=torch.float64)
-    half, whole = (integrate_twist(*twist, duration)[0] for duration in (0.4, 0.8))
+    twist = torch.tensor([30.0, 10.0, -1.7], dtype=torch.float64)
+    half, whole = (integrate_twist(twist, duration) for duration in (0.4, 0.8))
     torch.testing.assert_close(compose(half, half), whole)
 
 
 def test_a_twist_without_turn_has_finite_gradients():
     turn = torch.zeros(1, requires_grad=True)
-    integrate_twist(torch.ones(1), torch.zeros(1), turn, 0.5)[0, 1].backward()
+    integrate_twist(torch.stack([torch.ones(1), torch.zeros(1), turn], dim=-1), 0.5)[0, 1].backward()
     torch.testing.assert_close(turn.grad, torch.tensor([0.125]))  # left = v ω T² / 2
 
 
@@ -66,7 +65,7 @@ def test_the_planted_differential_drive_is_recovered(robots):
 
 def test_the_planted_unicycle_is_recovered(robots):
     planted = {"speed_gain": 0.85, "turn_gain": 1.2, "veer_rad_per_mm": 8e-4}
-    transitions = planted_transitions(robots["create"], Unicycle, planted)
+    transitions = planted_transitions(robots["create"], planted)
     assert fitted(transitions, steps=1000).network.physical_parameters() == pytest.approx(planted, rel=0.01)
 
 
@@ -82,7 +81,7 @@ def test_the_planted_tail_fin_is_recovered(robots):
         "angle_gain": 1.3,
         "trim_deg": 4.0,
     }
-    transitions = planted_transitions(robots["mur"], TailFin, planted)
+    transitions = planted_transitions(robots["mur"], planted)
     assert fitted(transitions, steps=2000).network.physical_parameters() == pytest.approx(planted, rel=0.03)
 
 

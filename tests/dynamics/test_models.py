@@ -3,13 +3,16 @@ import pytest
 import torch
 import yaml
 from torch import nn
-from toy import CONF, toy_transitions
 
-from swarmtwin.dynamics.base import Dynamics
+from swarmtwin.dynamics.model_config import config_class, model_config, model_names
 from swarmtwin.dynamics.models.crnet import CRNet
-from swarmtwin.dynamics.registry import config_class, model_config, model_names
-from swarmtwin.dynamics.training_data import training_data
+from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.dynamics.training_module import TrainingModule
 from swarmtwin.errors import UserError
+from swarmtwin.learning.batches import tensor_splits
+from swarmtwin.learning.situation import Situation
+from swarmtwin.robot import Arena
+from toy import CONF, recipe, toy_transitions
 
 ROBOTS = sorted(path.stem for path in (CONF / "robot").glob("*.yaml"))
 
@@ -22,8 +25,8 @@ def arbitrary_mean(command):
 def dynamics_with_data(robot, name, count=600):
     transitions = toy_transitions(robot, count, noise=(2, 2, 0.05), mean=arbitrary_mean)
     torch.manual_seed(0)
-    dynamics = Dynamics(robot, config_class(name)())
-    data = training_data(transitions, dynamics.parts)
+    dynamics = NetworkDynamics(robot, config_class(name)())
+    data = tensor_splits(transitions, dynamics.inputs)
     dynamics.learn_scaling(*data.train)
     return dynamics, data
 
@@ -46,7 +49,8 @@ def test_an_unknown_model_is_refused_with_the_near_miss():
     with pytest.raises(UserError) as error:
         config_class("crnett")
     assert str(error.value) == (
-        "no such dynamics model: 'crnett': did you mean 'crnet'? known: cnn, crnet, fcnn, gru, kinematic, lstm, mlp"
+        "no such dynamics model: 'crnett': did you mean 'crnet'? "
+        "known: cnn, crnet, ensemble, fcnn, gru, kinematic, lstm, mlp"
     )
 
 
@@ -56,7 +60,7 @@ def test_an_unknown_field_is_refused_with_the_near_miss():
 
 
 def test_a_configuration_without_a_name_is_refused():
-    with pytest.raises(UserError, match=r"^x: field 'name' is missing: it says which model; known: cnn, "):
+    with pytest.raises(UserError, match=r"^x: field 'name' is missing: it says which dynamics model; known: cnn, "):
         model_config({"dropout": 0.2}, "x")
 
 
@@ -94,7 +98,7 @@ def test_layers_without_width_are_refused(name, wrong):
     ("name", "parameters"), [("crnet", 95_511), ("fcnn", 126_019), ("cnn", 59_275), ("lstm", 64_483), ("gru", 54_979)]
 )
 def test_parameter_counts_are_the_published_ones(robots, name, parameters):
-    dynamics = Dynamics(robots["mgr"], config_class(name)())
+    dynamics = NetworkDynamics(robots["mgr"], config_class(name)())
     assert sum(parameter.numel() for parameter in dynamics.parameters()) == parameters
 
 
@@ -105,14 +109,15 @@ def test_the_loss_reaches_every_parameter(robots, name, robot):
     with torch.no_grad():
         for parameter in dynamics.parameters():  # away from symmetric beginnings
             parameter += 0.05 * torch.randn_like(parameter)
-    sum(dynamics.errors(data.train)).backward()
+    sum(TrainingModule(dynamics, recipe(), steps=1).errors(data.train)).backward()
     assert not [name for name, parameter in dynamics.named_parameters() if not parameter.grad.abs().max() > 0]
     assert all(parameter.grad.isfinite().all() for parameter in dynamics.parameters())
 
 
 @pytest.mark.parametrize("name", ["crnet", "cnn", "lstm", "gru"])
 def test_outputs_stay_within_the_range_of_the_training_data(robots, name):
-    dynamics, (_, (situation, displacement), _) = dynamics_with_data(robots["mgr"], name)
+    dynamics, data = dynamics_with_data(robots["mgr"], name)
+    situation, displacement = data.train
     low, high = displacement.min(dim=0).values, displacement.max(dim=0).values
     predicted = dynamics.eval()(situation)
     assert (predicted >= low).all()
@@ -177,8 +182,32 @@ def test_crnet_has_the_published_skips():
 
 
 def test_a_model_looks_at_nothing_but_the_parts_it_asks_for(robots):
-    dynamics, (_, (situation, _), _) = dynamics_with_data(robots["mgr"], "mlp")
+    dynamics, data = dynamics_with_data(robots["mgr"], "mlp")
+    situation, _ = data.train
     alone = situation.only(("command",))
     assert torch.equal(dynamics(alone), dynamics(situation))
     with pytest.raises(ValueError, match="the situation has no pose: give it one"):
         alone.only(("command", "pose"))
+
+
+def test_a_network_given_the_walls_keeps_the_arena_that_it_learned_in(robots):
+    mur = robots["mur"]
+    elsewhere = Arena(x=(7000, 9000), y=(-500, 500))
+    config = config_class("mlp")(wall_reaches=(0.125, 0.03125))
+    dynamics = NetworkDynamics(mur, config)
+    situation = Situation(command=torch.zeros(2, 3), pose=torch.tensor([[8990.0, 0.0, 0.0], [8000.0, 0.0, 0.0]]))
+    dynamics.learn_scaling(situation, torch.randn(2, 3), elsewhere)
+    loaded = NetworkDynamics.with_weights(mur, config, dynamics.state_dict())
+    torch.testing.assert_close(loaded.encoding.walls_mm, torch.tensor([[7000.0, -500], [9000, 500]]))
+    torch.testing.assert_close(loaded.predict(situation), dynamics.eval().predict(situation))
+    plain = NetworkDynamics(mur, config_class("mlp")())
+    assert dynamics.encoding.width == plain.encoding.width + 10
+
+
+def test_in_training_each_situation_is_answered_by_one_member_of_the_ensemble_and_later_by_all(robots):
+    network = config_class("ensemble")(members=3).build(robots["mgr"], 2)
+    inputs = torch.randn(7, 2)
+    each = network.perceptrons(inputs)
+    alone = network.train()(inputs)
+    torch.testing.assert_close(alone, torch.stack([each[row % 3, row] for row in range(7)]))
+    torch.testing.assert_close(network.eval()(inputs), each.mean(dim=0))

@@ -5,18 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 import yaml
-from toy import CONF, recipe, toy_transitions
 
 from drives import drive, header_of
+from swarmtwin.dynamics.model_config import model_config
+from swarmtwin.dynamics.model_folder import save_dynamics
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
-from swarmtwin.dynamics.registry import model_config
-from swarmtwin.dynamics.store import save_dynamics
 from swarmtwin.dynamics.training import train
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.transitions import from_recording, split_by_run
 from swarmtwin.transitions.preparation import describe
 from swarmtwin.transitions.splitting import Fractions
+from toy import CONF, recipe, toy_transitions
 
 LIVE = SeedOutcome(seed=4, best_epoch=2, position_mm=3.2, orientation_deg=3.9, dead=None)
 DIVERGED = SeedOutcome(seed=3, best_epoch=0, position_mm=None, orientation_deg=None, dead="not finite in epoch 1")

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 import torch
-from toy import toy_transitions
 
-from swarmtwin.dynamics.scaling import INPUT_ORDER, Encoding, Scaling
-from swarmtwin.dynamics.situation import ALL_PARTS, Situation
-from swarmtwin.errors import UserError
+from swarmtwin.learning.encoding import Encoding, Scaling
+from swarmtwin.learning.situation import ALL_PARTS, Situation
+from swarmtwin.robot import Arena
+from toy import toy_transitions
 
 
 @pytest.mark.parametrize("method", ["unit_range", "standard", "physical"])
@@ -39,13 +39,13 @@ def test_a_column_that_does_not_vary_stays_finite():
 
 
 def test_the_inputs_are_ordered_as_in_the_authors_code(robots):
-    encoding = Encoding(robots["mur"], ("command", "pose"), "unit_range")
+    encoding = Encoding.for_network(robots["mur"], ("command", "pose"), "unit_range")
     situation = Situation(command=torch.tensor([[4.0, 5.0, 6.0]]), pose=torch.tensor([[1.0, 2.0, 3.0]]))
     assert encoding(situation).tolist() == [[1, 2, 3, 4, 5, 6]]
 
 
 def test_standardised_headings_do_not_jump_at_the_half_turn(robots):
-    encoding = Encoding(robots["mur"], ("command", "pose"), "standard")
+    encoding = Encoding.for_network(robots["mur"], ("command", "pose"), "standard")
     encoding.learn(Situation.from_transitions(toy_transitions(robots["mur"], 500, mean=np.zeros_like)))
     command = torch.zeros(2, 3)
     pose = torch.tensor([[500.0, 500.0, np.pi - 1e-4], [500.0, 500.0, -np.pi + 1e-4]])
@@ -54,7 +54,7 @@ def test_standardised_headings_do_not_jump_at_the_half_turn(robots):
 
 
 def test_a_missing_previous_command_is_taken_for_the_usual_one(robots):
-    encoding = Encoding(robots["mgr"], ("command", "previous_command"), "standard")
+    encoding = Encoding.for_network(robots["mgr"], ("command", "previous_command"), "standard")
     situation = Situation.from_transitions(toy_transitions(robots["mgr"], 500))
     encoding.learn(situation)
     missing = situation.previous_command.isnan()
@@ -65,7 +65,7 @@ def test_a_missing_previous_command_is_taken_for_the_usual_one(robots):
 
 
 def test_a_missing_earlier_command_is_taken_for_the_usual_one(robots):
-    encoding = Encoding(robots["mgr"], ("command", "earlier_command"), "physical")
+    encoding = Encoding.for_network(robots["mgr"], ("command", "earlier_command"), "physical")
     situation = Situation.from_transitions(toy_transitions(robots["mgr"], 500))
     encoding.learn(situation)
     missing = situation.earlier_command.isnan().any(dim=1)
@@ -80,32 +80,69 @@ def test_only_an_encoding_that_takes_the_earlier_command_keeps_the_usual_one(rob
     """Else weights saved by an earlier version would not load."""
     kept = {"usual_previous_command", "scaling.offset", "scaling.scale"}
     without, taking = (
-        Encoding(robots["mgr"], ("command", *parts), "standard") for parts in (("previous_command",), INPUT_ORDER)
+        Encoding.for_network(robots["mgr"], ("command", *parts), "standard")
+        for parts in (("previous_command",), ALL_PARTS)
     )
     assert set(without.state_dict()) == kept
     assert set(taking.state_dict()) == {*kept, "usual_earlier_command"}
 
 
-def test_neighbours_are_refused_except_by_an_encoding_that_takes_them(robots):
-    class Counting(Encoding):
-        """Takes neighbours as how many there are."""
+def test_neighbours_enter_as_a_set_of_any_size_and_order(robots):
+    robot = robots["mgr"]
+    encoding = Encoding(robot, ("command", "neighbours"), "physical", neighbour_reach_mm=100.0)
+    around = torch.tensor([[[100.0, 0, 0], [0, 50, 1]], [[0, 50, 1], [100, 0, 0]], [[torch.nan] * 3, [100, 0, 2]]])
+    situation = Situation(command=torch.tensor([[4.0, 5.0]]).expand(3, 2), neighbours=around)
+    ahead, left = np.exp(-1), np.exp(-0.5)
+    expected = [[4, 5, ahead, left], [4, 5, ahead, left], [4, 5, ahead, 0]]
+    torch.testing.assert_close(encoding(situation), torch.tensor(expected, dtype=torch.float32))
+    alone = Situation(command=torch.tensor([[4.0, 5.0]]), neighbours=torch.zeros(1, 0, 3))
+    assert encoding(alone).tolist() == [[4, 5, 0, 0]]
 
-        order = ("command", "neighbours")
 
-        def _part_columns(self, part, values):
-            if part == "neighbours":
-                return values[..., 0].isfinite().sum(dim=1, keepdim=True)
-            return super()._part_columns(part, values)
+def test_limits_are_the_robots_the_arenas_and_the_sessions(robots):
+    robot = robots["mgr"]
+    arena = Arena(x=(0, 400), y=(-100, 100))
+    features = ("previous_command", "position", "direction", "elapsed_s", "duration_s", "command")
+    encoding = Encoding(robot, features, "limits", arena_mm=arena, session_s=50, weights={"position": 0.5})
+    situation = Situation(
+        command=torch.tensor([[-120.0, 60.0], [0.0, 0.0]]),
+        previous_command=torch.tensor([[torch.nan] * 2, [120.0, 0.0]]),
+        pose=torch.tensor([[400.0, 100, 0], [200, -100, np.pi / 2]]),
+        elapsed_s=torch.tensor([0.0, 25]),
+        duration_s=torch.tensor([robot.period_s, 1.1 * robot.period_s]),
+    )
+    expected = [[0, 0, 0.5, 0.5, 1, 0, -1, 0, -1, 0.5], [1, 0, 0, -0.5, 0, 1, 0, 1, 0, 0]]
+    torch.testing.assert_close(encoding(situation), torch.tensor(expected, dtype=torch.float32), atol=1e-6, rtol=0)
+    assert not encoding.state_dict()
+    before = encoding(situation)
+    encoding.learn(situation)
+    assert torch.equal(encoding(situation), before)
+    assert encoding.columns_of("elapsed_s") == [6]
+    assert encoding.columns_of("walls") == []
 
-    parts = ("command", "neighbours")
-    with pytest.raises(UserError) as refused:
-        Encoding(robots["mgr"], parts, "physical")
-    assert str(refused.value) == "no network takes neighbours yet: take it out of model.situation"
-    neighbours = torch.zeros(2, 3, 3)
-    neighbours[1, 1:] = torch.nan
-    situation = Situation(command=torch.tensor([[4.0, 5.0], [6.0, 7.0]]), neighbours=neighbours)
-    assert Counting(robots["mgr"], parts, "physical")(situation).tolist() == [[4, 5, 3], [6, 7, 1]]
-    assert situation.only(("command",)).neighbours is None
+
+def test_walls_look_the_same_from_every_corner(robots):
+    """Turned by half a turn about the middle of the arena, a vehicle sees the same walls."""
+    robot = robots["mur"]
+    encoding = Encoding(robot, ("walls",), "limits", wall_reaches_mm=(50.0, 200.0))
+    random = np.random.default_rng(0)
+    low, high = robot.arena_mm.low_mm, robot.arena_mm.high_mm
+    pose = np.column_stack([random.uniform(low, high, (50, 2)), random.uniform(-3, 3, 50)])
+    turned = np.array([*(low + high), np.pi]) + pose * [-1, -1, 1]
+    seen = [encoding(Situation(torch.zeros(50, 3), pose=torch.as_tensor(place))) for place in (pose, turned)]
+    assert encoding.width == 10
+    torch.testing.assert_close(*seen, atol=1e-5, rtol=1e-4)
+
+
+def test_a_wall_ahead_differs_from_a_wall_behind(robots):
+    robot = robots["mur"]
+    encoding = Encoding(robot, ("walls",), "limits", wall_reaches_mm=(50.0,))
+    x_mm, y_mm = robot.arena_mm.high_mm[0] - 10, robot.arena_mm.high_mm[1] / 2
+    poses = torch.tensor([[x_mm, y_mm, 0.0], [x_mm, y_mm, np.pi]])
+    ahead, behind = encoding(Situation(torch.zeros(2, 3), pose=poses))
+    assert ahead[1] > 0.5
+    assert behind[1] < -0.5
+    torch.testing.assert_close(ahead[0], behind[0])
 
 
 def test_situations_are_taken_by_index_and_type(robots):

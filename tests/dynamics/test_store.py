@@ -2,20 +2,20 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from toy import recipe, toy_transitions
 
-from swarmtwin.dynamics.base import Dynamics
 from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.dynamics.registry import config_class, model_names
-from swarmtwin.dynamics.store import load_dynamics, read_description, save_dynamics
+from swarmtwin.dynamics.model_config import config_class, model_names
+from swarmtwin.dynamics.model_folder import load_dynamics, read_description, save_dynamics
+from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.training import train
 from swarmtwin.errors import UserError
+from toy import recipe, toy_transitions
 
 
 @pytest.fixture
 def saved(robots, tmp_path):
     torch.manual_seed(0)
-    save_dynamics(tmp_path, Dynamics(robots["mgr"], config_class("mlp")()), {"seed": 3})
+    save_dynamics(tmp_path, NetworkDynamics(robots["mgr"], config_class("mlp")()), {"seed": 3})
     return tmp_path
 
 
@@ -27,7 +27,7 @@ def test_a_model_saved_and_loaded_predicts_the_same_bit_for_bit(robots, tmp_path
     loaded = load_dynamics(tmp_path)
     assert np.array_equal(predict(loaded, transitions), predict(dynamics, transitions))
     assert not loaded.training
-    assert (loaded.config, loaded.robot, loaded.parts) == (dynamics.config, dynamics.robot, dynamics.parts)
+    assert (loaded.config, loaded.robot, loaded.inputs) == (dynamics.config, dynamics.robot, dynamics.inputs)
 
 
 def test_the_description_can_be_read_by_people(saved):
@@ -77,7 +77,7 @@ def test_weights_of_another_model_are_refused(saved):
 
 
 def test_weights_that_are_not_finite_are_refused(robots, tmp_path):
-    dynamics = Dynamics(robots["mgr"], config_class("mlp")())
+    dynamics = NetworkDynamics(robots["mgr"], config_class("mlp")())
     with torch.no_grad():
         dynamics.network[0].bias[3] = torch.nan
     save_dynamics(tmp_path, dynamics, {})

@@ -1,19 +1,20 @@
 import dataclasses
 import errno
+import resource
 import signal
 
 import numpy as np
 import pytest
 import torch
-from toy import CONF, exact_displacement, recipe, toy_transitions
 
-from swarmtwin.dynamics.batches import ShuffledBatches
 from swarmtwin.dynamics.evaluation import model_error, predict
-from swarmtwin.dynamics.liveness import dead_outputs
-from swarmtwin.dynamics.registry import config_class, model_names
-from swarmtwin.dynamics.situation import Situation
+from swarmtwin.dynamics.model_config import config_class, model_names
 from swarmtwin.dynamics.training import train
 from swarmtwin.errors import UserError
+from swarmtwin.learning.batches import ShuffledBatches
+from swarmtwin.learning.dead_outputs import dead_outputs
+from swarmtwin.learning.situation import Situation
+from toy import CONF, exact_displacement, recipe, toy_transitions
 
 ROBOTS = sorted(path.stem for path in (CONF / "robot").glob("*.yaml"))
 NOISE = (1.0, 1.0, 0.03)
@@ -113,10 +114,14 @@ def test_a_checkpoint_that_cannot_be_used_is_started_over(transitions, tmp_path,
 
 
 def test_a_full_disk_is_a_fault_of_the_system(transitions, tmp_path):
-    (tmp_path / ".seed-1.ckpt.partial").symlink_to("/dev/full")
-    with pytest.raises(OSError, match="No space left on device") as error:
-        train(transitions, config(steps=5), recipe(), [1], checkpoints=tmp_path)
-    assert error.value.errno == errno.ENOSPC
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large") as error:
+            train(transitions, config(steps=5), recipe(), [1], checkpoints=tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert error.value.errno == errno.EFBIG
     assert not list(tmp_path.iterdir())
 
 
@@ -253,9 +258,9 @@ def test_every_shipped_recipe_trains(transitions, name):
 
 def test_a_recipe_fills_in_what_it_leaves_open():
     open_recipe, own = recipe("fast", batch_size=100), config("crnet", learning_rate=0.03, steps=95)
-    filled = open_recipe.for_model(own, 1000)
+    filled = open_recipe.completed(own.learning_rate, own.steps, 1000)
     assert (filled.learning_rate, filled.epochs) == (0.03, 10)
-    stated = recipe("paper").for_model(own, 1000)
+    stated = recipe("paper").completed(own.learning_rate, own.steps, 1000)
     assert (stated.learning_rate, stated.epochs) == (0.005138, 40)
 
 

@@ -1,8 +1,8 @@
 import pytest
 from plant import config, planted, preparation
 
-from swarmtwin.generators.fitting import fit
-from swarmtwin.generators.lineage import Lineage
+from swarmtwin.generators.generator_folder import Lineage
+from swarmtwin.generators.training import fit
 
 
 @pytest.fixture(scope="session")
@@ -14,7 +14,7 @@ def real(robots):
 @pytest.fixture(scope="session")
 def trained(real):
     """Both generators, trained on them, by name."""
-    return {name: fit(real, config(name), seed=1)[0] for name in ("diffusion", "gan")}
+    return {name: fit(real, config(name), seed=1)[0] for name in ("residual_diffusion", "gan")}
 
 
 @pytest.fixture(scope="session")

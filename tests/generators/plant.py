@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from swarmtwin.generators.registry import generator_config
+from swarmtwin.generators.generator import generator_config
 from swarmtwin.transitions import Transitions
 from swarmtwin.transitions.preparation import CountsByReason, Preparation, counts_by_split, runs_by_split
 from swarmtwin.transitions.splitting import Fractions
@@ -14,7 +14,12 @@ from swarmtwin.transitions.splitting import Fractions
 CONF = Path(__file__).resolve().parents[2] / "conf"
 NOISE = np.array([2.0, 1.0, 0.05])
 QUICK = {
-    "diffusion": {"trend_steps": 250, "noise_steps": 350, "batch_size": 256, "trend_layers": [48, 48]},
+    "residual_diffusion": {
+        "mean_model_steps": 250,
+        "noise_steps": 350,
+        "batch_size": 256,
+        "mean_model_layers": [48, 48],
+    },
     "gan": {"steps": 300},
 }
 
@@ -43,6 +48,7 @@ def planted(robot, count=4000, seed=0, steps=50, noise=NOISE):
     runs = int(run[-1]) + 1
     return Transitions(
         robot=robot,
+        arena_mm=robot.arena_mm,
         command=command,
         previous_command=previous,
         earlier_command=earlier,

@@ -1,6 +1,7 @@
 """The folder to give away: read back bit for bit, understood by a stranger, refused when damaged."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from safetensors.torch import load_file, save_file
 
 from swarmtwin.errors import UserError
 from swarmtwin.generators.columns import Columns
+from swarmtwin.generators.generator_folder import load_generator, save_generator
 from swarmtwin.generators.quality import Sets, assess
 from swarmtwin.generators.sampling import draw_believable
-from swarmtwin.generators.store import load_generator, save_generator
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def refusal(folder):
     return str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["diffusion", "gan"])
+@pytest.mark.parametrize("name", ["residual_diffusion", "gan"])
 def test_a_generator_saved_and_loaded_draws_the_same_bit_for_bit(saved, trained, lineage, quality, name):
     before = torch.random.get_rng_state()
     generator, description = load_generator(saved[name])
@@ -54,12 +55,12 @@ def test_a_generator_saved_and_loaded_draws_the_same_bit_for_bit(saved, trained,
 
 
 def test_the_folder_holds_three_files_and_no_real_row(saved):
-    assert sorted(path.name for path in saved["diffusion"].iterdir()) == [
+    assert sorted(path.name for path in saved["residual_diffusion"].iterdir()) == [
         "README.md",
         "generator.yaml",
         "weights.safetensors",
     ]
-    assert sum(path.stat().st_size for path in saved["diffusion"].iterdir()) < 400_000
+    assert sum(path.stat().st_size for path in saved["residual_diffusion"].iterdir()) < 400_000
 
 
 def test_the_card_says_what_a_stranger_asks(saved, quality):
@@ -77,6 +78,11 @@ def test_the_card_says_what_a_stranger_asks(saved, quality):
         assert answer in card
 
 
+def test_the_folder_keeps_the_arena(saved, trained):
+    _, description = load_generator(saved["residual_diffusion"])
+    assert description.arena_mm == trained["residual_diffusion"].columns.arena_mm
+
+
 def test_what_is_missing_is_named(saved, tmp_path):
     folder = saved["gan"]
     (folder / "weights.safetensors").unlink()
@@ -92,17 +98,19 @@ def test_damage_is_named(saved):
     whole = weights.read_bytes()
     weights.write_bytes(whole[:-100])
     assert refusal(folder).startswith(f"{weights} is damaged (")
-    broken = load_file(saved["diffusion"] / "weights.safetensors")
-    broken["trend.offset"][0] = torch.nan
-    save_file(broken, saved["diffusion"] / "weights.safetensors")
-    assert refusal(saved["diffusion"]).endswith("trend.offset is not finite; generate the folder anew")
+    broken = load_file(saved["residual_diffusion"] / "weights.safetensors")
+    broken["mean_model.offset"][0] = torch.nan
+    save_file(broken, saved["residual_diffusion"] / "weights.safetensors")
+    assert refusal(saved["residual_diffusion"]).endswith("mean_model.offset is not finite; generate the folder anew")
     weights.write_bytes(whole)
     (folder / "generator.yaml").write_text("generator: [")
     assert refusal(folder).startswith(f"{folder}/generator.yaml is damaged: ")
 
 
 def test_weights_of_another_generator_do_not_belong(saved):
-    (saved["gan"] / "weights.safetensors").write_bytes((saved["diffusion"] / "weights.safetensors").read_bytes())
+    (saved["gan"] / "weights.safetensors").write_bytes(
+        (saved["residual_diffusion"] / "weights.safetensors").read_bytes()
+    )
     assert refusal(saved["gan"]) == (
         f"{saved['gan']}/weights.safetensors does not belong to generator.yaml beside it: generate the folder anew"
     )
@@ -133,3 +141,12 @@ def test_nothing_in_the_description_is_executed(saved, tmp_path):
 def test_the_quality_is_plain_data(quality):
     assert json.loads(quality.model_dump_json())["exact_copies"] == quality.exact_copies
     assert {"precision", "recall", "told_apart", "noise_turn_rad"} <= set(quality.tracked())
+
+
+def test_a_folder_that_an_earlier_version_saved_as_diffusion_draws_the_same(tmp_path):
+    """Saved by the version before the renaming, with the first of the 300 rows that it drew with seed 1."""
+    saved = Path(__file__).parent / "old_diffusion"
+    generator, description = load_generator(saved)
+    assert (description.generator["name"], generator.config.name) == ("diffusion", "residual_diffusion")
+    drawn = draw_believable(generator, 300, seed=1).rows[:20]
+    np.testing.assert_allclose(drawn, np.loadtxt(saved / "drawn.csv", delimiter=","), rtol=2e-4, atol=2e-4)

@@ -6,9 +6,7 @@ import torch
 
 from swarmtwin.generators.columns import Columns
 from swarmtwin.generators.denoiser import Denoiser
-from swarmtwin.generators.features import SituationFeatures
-from swarmtwin.generators.marginals import Marginals
-from swarmtwin.generators.trend import Trend, folds
+from swarmtwin.generators.marginal_distributions import MarginalDistributions
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +47,7 @@ def test_diffusion_learns_two_humps_whose_place_depends_on_the_condition():
 def test_marginals_return_limits_repeated_values_and_steps():
     uniform = torch.rand(5000) * 240 - 120
     values = torch.stack([uniform, (uniform * 10).round() / 10, torch.where(uniform > 0, 5.0, uniform)], dim=1)
-    marginals = Marginals(3, 129)
+    marginals = MarginalDistributions(3, 129)
     marginals.learn(values)
     drawn = marginals.values(torch.randn(20000, 3))
     low, high = values.min(dim=0).values, values.max(dim=0).values
@@ -63,46 +61,11 @@ def test_marginals_return_limits_repeated_values_and_steps():
 
 def test_scores_are_normal_whatever_the_values_and_keep_their_order():
     values = torch.stack([torch.rand(4001) ** 5, (torch.rand(4001) * 3).round()], dim=1)
-    scores = Marginals.scores(values)
+    scores = MarginalDistributions.scores(values)
     assert torch.equal(scores[:, 0].argsort(), values[:, 0].argsort())
     assert scores.mean(dim=0).tolist() == pytest.approx([0, 0], abs=1e-3)
     assert scores.std(dim=0).tolist() == pytest.approx([1, 1], abs=0.01)
     assert scores[values[:, 1] == 0, 1].max() < scores[values[:, 1] == 3, 1].min()
-
-
-def test_walls_look_the_same_from_every_corner(robots):
-    """Turned by half a turn about the middle of the arena, a vehicle sees the same walls."""
-    mur = robots["mur"]
-    features = SituationFeatures(Columns.of(mur), wall_reach_lengths=0.5, place_weight=0.0)
-    random = np.random.default_rng(0)
-    pose = np.column_stack([random.uniform(0, 2000, 50), random.uniform(0, 1000, 50), random.uniform(-3, 3, 50)])
-    turned = np.array([2000, 1000, 0]) - pose * [1, 1, -1] + [0, 0, np.pi]
-    command = np.tile([10.0, 30, 5], (50, 1))
-    seen = [features(torch.tensor(np.hstack([command, place]), dtype=torch.float32)) for place in (pose, turned)]
-    torch.testing.assert_close(*seen, atol=1e-5, rtol=1e-4)
-
-
-def test_a_wall_ahead_differs_from_a_wall_behind(robots):
-    features = SituationFeatures(Columns.of(robots["mur"]), wall_reach_lengths=0.5, place_weight=0.0)
-    ahead, behind = (features(torch.tensor([[0.0, 30, 5, 1990, 500, angle]])) for angle in (0.0, np.pi))
-    assert ahead[0, -4] > 0.5
-    assert behind[0, -4] < -0.5
-    torch.testing.assert_close(ahead[0, -5], behind[0, -5])
-
-
-def test_each_member_leaves_out_whole_runs():
-    run = torch.arange(40).repeat_interleave(10)
-    fold = folds(run, 5)
-    assert all(len(fold[run == number].unique()) == 1 for number in range(40))
-    assert torch.bincount(fold).tolist() == [80] * 5
-
-
-def test_a_residual_is_that_of_the_member_which_has_not_seen_the_row():
-    trend = Trend(2, members=3, layers=(4,))
-    features, fold = torch.randn(30, 2), torch.arange(30) % 3
-    each = trend.by_member(features.expand(3, -1, -1))
-    torch.testing.assert_close(trend.held_out(features, fold), torch.stack([each[k, i] for i, k in enumerate(fold)]))
-    torch.testing.assert_close(trend(features), each.mean(dim=0))
 
 
 def test_believable_is_what_prepare_keeps(robots):

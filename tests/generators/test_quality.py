@@ -4,10 +4,18 @@ import numpy as np
 import pytest
 from plant import planted
 
-from swarmtwin.generators.closeness import coverage, exact_copies, mean_neighbour_distance, nearer_to_first
 from swarmtwin.generators.columns import Columns
-from swarmtwin.generators.figures import quality_figure
-from swarmtwin.generators.quality import Quality, Sets, assess, largest_gap, told_apart
+from swarmtwin.generators.quality import (
+    Quality,
+    Sets,
+    assess,
+    coverage,
+    exact_copies,
+    mean_neighbour_distance,
+    nearer_to_first,
+    told_apart,
+)
+from swarmtwin.generators.quality_plots import quality_figure
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +89,6 @@ def test_distances_and_gaps_by_hand():
     assert nearer_to_first(line, line, line) == 0.5
     assert coverage(line, line) == (1, 1)
     assert coverage(line + 1000, line) == (0, 0)
-    assert largest_gap(np.arange(10), np.arange(10) + 5) == pytest.approx(0.5)
 
 
 def test_the_two_sample_test_keeps_its_level():

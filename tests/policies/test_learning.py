@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from lessons import ALGORITHMS, algorithm_named, lesson, robot_named, simulation, small, task_named
 from swarmtwin.errors import UserError
-from swarmtwin.policies import learning
+from swarmtwin.policies import training
+from swarmtwin.policies.algorithm import algorithm_config
 from swarmtwin.policies.checkpoint import read_checkpoint
-from swarmtwin.policies.learning import Learner
-from swarmtwin.policies.registry import algorithm_config
-from swarmtwin.policies.scenes import draw_scenes, evaluation_scenes
-from swarmtwin.policies.seeds import best_of, learn_all, policy_of
+from swarmtwin.policies.rollout_comparison import draw_scenarios
+from swarmtwin.policies.training import Learner, best_of, learn_all, policy_of, task_in
+from swarmtwin.robot import Arena
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.world.tasks.obstacle import Obstacle
+from tiny_policies import ALGORITHMS, algorithm_named, policy_job, robot_named, simulation, small, task_named
 
 # Nothing in the way to speak of: steer to a target that is not far.
 EASY = {
@@ -48,16 +52,16 @@ def same_weights(first, second):
 
 
 def test_a_working_learner_solves_a_tiny_problem_and_a_broken_one_does_not(folder, monkeypatch):
-    tiny = lesson(folder, task_named("obstacle", **EASY), quick(), every=100, scenes=50)
+    tiny = policy_job(folder, task_named("obstacle", **EASY), quick(), every=100, scenes=50)
     assert tiny.run(None).best.success > 0.6
     reward = Obstacle.reward
-    monkeypatch.setattr(Obstacle, "reward", lambda self, scene, pose: -reward(self, scene, pose))
+    monkeypatch.setattr(Obstacle, "reward", lambda self, scenario, pose: -reward(self, scenario, pose))
     assert tiny.run(None).best.success < 0.3
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_the_same_seed_gives_the_same_policy_and_another_seed_another(folder, name):
-    first, again, other = (lesson(folder, algorithm=small(name), seed=seed).run(None) for seed in (1, 1, 2))
+    first, again, other = (policy_job(folder, algorithm=small(name), seed=seed).run(None) for seed in (1, 1, 2))
     assert same_weights(first, again)
     assert first.history == again.history
     assert not same_weights(first, other)
@@ -66,29 +70,72 @@ def test_the_same_seed_gives_the_same_policy_and_another_seed_another(folder, na
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_an_interrupted_training_continues_to_the_same_numbers(folder, tmp_path, name):
     algorithm = small(name)
-    whole = lesson(folder, algorithm=algorithm).run(None)
-    resumed = lesson(folder, algorithm=algorithm, checkpoint=tmp_path / "seed-1.ckpt")
+    whole = policy_job(folder, algorithm=algorithm).run(None)
+    resumed = policy_job(folder, algorithm=algorithm, checkpoint=tmp_path / "seed-1.ckpt")
 
-    def kill_after_the_second_stage(seed, done, stage):
-        if stage is not None and stage.step == whole.history[1].step and done > stage.step:
+    def kill_after_the_second_evaluation(seed, done, evaluation):
+        if done > whole.history[1].step:
             raise KilledError
 
-    learning_report = learning.STEPS_A_REPORT
-    try:
-        learning.STEPS_A_REPORT = 1
-        with pytest.raises(KilledError):
-            resumed.run(kill_after_the_second_stage)
-    finally:
-        learning.STEPS_A_REPORT = learning_report
+    with pytest.raises(KilledError):
+        resumed.run(kill_after_the_second_evaluation)
     seen = []
-    result = resumed.run(lambda seed, done, stage: seen.append(done))
+    result = resumed.run(lambda seed, done, evaluation: seen.append(done))
     assert min(seen) > whole.history[1].step
     assert result.history == whole.history
     assert same_weights(result, whole)
 
 
+@pytest.fixture
+def lossy(folder, monkeypatch):
+    """A simulation in which commands are lost, actuators lag and motion varies, in place of the bare dynamics model."""
+    bare = load_simulation(folder)
+    mechanisms = [
+        mechanism_class("command_loss")(name="command_loss", probability=0.4),
+        mechanism_class("actuator_lag")(name="actuator_lag", time_constant_s=0.5),
+    ]
+    conditions = SessionConditions(arena_mm=Arena(x=(-200.0, 1200.0), y=(-100.0, 1100.0)), session_s=100.0)
+    extended = Simulation(bare.dynamics, mechanisms, conditions).eval()
+    monkeypatch.setattr(training, "load_simulation", lambda folder: extended)
+    return extended
+
+
+def test_a_policy_learned_in_a_simulation_with_lag_and_loss_feels_them(folder, lossy, monkeypatch):
+    drawn, again, most_likely = (
+        policy_job(folder)._replace(sampled=sampled).run(None) for sampled in (None, True, False)
+    )
+    assert drawn.history == again.history
+    assert same_weights(drawn, again)
+    assert drawn.history != most_likely.history
+    monkeypatch.setattr(training, "load_simulation", lambda folder: Simulation(lossy.dynamics).eval())
+    assert policy_job(folder).run(None).history != most_likely.history
+
+
+def test_a_policy_learns_in_the_arena_that_its_simulation_states(folder, lossy):
+    learner = Learner(policy_job(folder))
+    assert learner.task.arena == lossy.conditions.arena_mm
+    assert learner.scenarios.start[..., 0].min() < learner.job.robot.arena_mm.x[0] + learner.task.config.margin_mm
+    assert task_in(folder, learner.job.robot, learner.job.task).arena == lossy.conditions.arena_mm
+
+
+@pytest.mark.usefixtures("lossy")
+def test_an_interrupted_training_continues_to_the_same_drawn_numbers(folder, tmp_path):
+    whole = policy_job(folder).run(None)
+    resumed = policy_job(folder, checkpoint=tmp_path / "seed-1.ckpt")
+
+    def kill_after_the_first_evaluation(seed, done, evaluation):
+        if done > whole.history[0].step:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        resumed.run(kill_after_the_first_evaluation)
+    result = resumed.run(None)
+    assert result.history == whole.history
+    assert same_weights(result, whole)
+
+
 def test_a_finished_training_is_not_done_again(folder, tmp_path):
-    done = lesson(folder, checkpoint=tmp_path / "seed-1.ckpt")
+    done = policy_job(folder, checkpoint=tmp_path / "seed-1.ckpt")
     first = done.run(None)
     reports = []
     assert done.run(lambda *told: reports.append(told)).history == first.history
@@ -98,7 +145,7 @@ def test_a_finished_training_is_not_done_again(folder, tmp_path):
 @pytest.mark.parametrize("damage", ["cut", "text", "pickle"])
 def test_a_damaged_checkpoint_is_named_and_the_seed_starts_anew(folder, tmp_path, caplog, damage):
     path = tmp_path / "seed-1.ckpt"
-    kept = lesson(folder, checkpoint=path)
+    kept = policy_job(folder, checkpoint=path)
     first = kept.run(None)
     if damage == "cut":
         path.write_bytes(path.read_bytes()[:5000])
@@ -114,8 +161,8 @@ def test_a_damaged_checkpoint_is_named_and_the_seed_starts_anew(folder, tmp_path
 
 def test_a_checkpoint_of_another_training_is_not_continued(folder, tmp_path, caplog):
     path = tmp_path / "seed-1.ckpt"
-    lesson(folder, checkpoint=path).run(None)
-    other = lesson(folder, algorithm=small("ddpg", exploration=0.3), checkpoint=path)
+    policy_job(folder, checkpoint=path).run(None)
+    other = policy_job(folder, algorithm=small("ddpg", exploration=0.3), checkpoint=path)
     assert read_checkpoint(path, other.identity, 1) == {}
     assert caplog.messages == [f"seed 1 starts anew: checkpoint {path} is of another training"]
 
@@ -128,21 +175,21 @@ def test_the_global_random_numbers_are_left_alone(folder):
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002
     torch.manual_seed(1)
-    lesson(folder).run(None)
+    policy_job(folder).run(None)
     assert (random.random(), np.random.random(), torch.rand(1).item()) == expected  # noqa: NPY002
 
 
 def test_rewards_are_scaled_by_random_play_and_the_critic_begins_with_its_value(folder):
-    learner = Learner(lesson(folder, task="collective", algorithm=small("ddpg", gamma=0.9, reward_size=2.0)))
-    learner._begin_with_random_play()
+    learner = Learner(policy_job(folder, task="collective", algorithm=small("ddpg", gamma=0.9, reward_size=2.0)))
+    learner.scale_rewards()
     assert 4 < 2.0 * learner.env.reward_scale < 12
-    for layer in learner.lesson.algorithm.critics(learner.algorithm):
+    for layer in learner.job.algorithm.critics(learner.algorithm):
         assert layer.bias.item() == pytest.approx(-2.0 / 0.1)
 
 
 def test_a_seed_that_diverges_is_flagged_and_the_others_go_on(folder, caplog):
     wild = small("ddpg", learning_rate=1e30)
-    results = learn_all([lesson(folder, algorithm=wild, seed=1), lesson(folder, seed=2)], processes=1)
+    results = learn_all([policy_job(folder, algorithm=wild, seed=1), policy_job(folder, seed=2)], processes=1)
     assert results[0].failed == "its weights were no longer finite"
     assert "seed 1 has failed: its weights were no longer finite" in caplog.messages
     with pytest.raises(UserError, match=r"every seed has failed \(seed 1: its weights were no longer finite\)"):
@@ -150,33 +197,34 @@ def test_a_seed_that_diverges_is_flagged_and_the_others_go_on(folder, caplog):
 
 
 def test_the_best_policy_is_kept_and_not_the_last(folder):
-    result = lesson(folder, task_named("obstacle", **EASY), quick(steps=300), every=50, scenes=20).run(None)
-    assert result.best == max(result.history, key=lambda stage: (stage.success, stage.reward))
+    result = policy_job(folder, task_named("obstacle", **EASY), quick(steps=300), every=50, scenes=20).run(None)
+    assert result.best == max(result.history, key=lambda evaluation: (evaluation.success, evaluation.reward))
 
 
 def test_seeds_side_by_side_are_the_same_as_in_turn(folder):
-    lessons = [lesson(folder, seed=seed) for seed in (1, 2)]
+    jobs = [policy_job(folder, seed=seed) for seed in (1, 2)]
     told = []
-    beside = learn_all(lessons, lambda *report: told.append(report[0]), processes=2)
-    for one, other in zip(beside, learn_all(lessons, processes=1), strict=True):
+    beside = learn_all(jobs, lambda *report: told.append(report[0]), processes=2)
+    for one, other in zip(beside, learn_all(jobs, processes=1), strict=True):
         assert one.history == other.history
         assert same_weights(one, other)
     assert set(told) == {1, 2}
 
 
-def test_training_evaluation_rollouts_and_gate_have_scenes_of_their_own():
+def test_training_evaluation_rollouts_and_gate_have_scenarios_of_their_own():
     task = task_named("collective").build(robot_named("mgr"))
-    scenes = [evaluation_scenes(task, 5), *(draw_scenes(task, 5, purpose, 0) for purpose in ("rollout", "gate"))]
-    scenes.append(task.draw(np.random.default_rng(0), 5))
-    starts = [json.dumps(scene.start.tolist()) for scene in scenes]
+    scenarios = [draw_scenarios(task, 5, purpose, 0) for purpose in ("evaluation", "rollout", "gate")]
+    scenarios.append(task.draw(np.random.default_rng(0), 5))
+    starts = [json.dumps(scenario.start.tolist()) for scenario in scenarios]
     assert len(set(starts)) == 4
-    assert np.array_equal(draw_scenes(task, 5, "gate", 3).start, draw_scenes(task, 5, "gate", 3).start)
+    assert np.array_equal(draw_scenarios(task, 5, "gate", 3).start, draw_scenarios(task, 5, "gate", 3).start)
 
 
 def test_the_policy_of_a_seed_plays_as_its_evaluation_says(folder):
-    taught = lesson(folder)
+    taught = policy_job(folder)
     result = taught.run(None)
-    policy = policy_of(taught, result)
+    task = taught.task.build(taught.robot)
+    policy = policy_of(task, taught.algorithm, result)
     for name, tensor in policy.state_dict().items():
         assert np.array_equal(tensor.numpy(), result.weights[name])
 
@@ -185,7 +233,7 @@ def test_every_shipped_algorithm_is_known_and_takes_a_step(folder):
     assert ALGORITHMS == ("ddpg", "ppo", "sac", "td3")
     for name in ALGORITHMS:
         shipped = algorithm_named(name, steps=1)
-        assert len(lesson(folder, algorithm=shipped, every=1, scenes=2).run(None).history) == 1
+        assert len(policy_job(folder, algorithm=shipped, every=1, scenes=2).run(None).history) == 1
 
 
 def test_an_unknown_algorithm_names_the_one_meant():

@@ -1,33 +1,46 @@
 """Policies by themselves: extraction, limits, their folder, ONNX."""
 
+import copy
+import shutil
+
 import numpy as np
 import onnxruntime
 import pytest
 import torch
 import yaml
 
-from lessons import ALGORITHMS, ARCHITECTURE, lesson, provenance, robot_named, simulation, small, task_named
 from swarmtwin.errors import UserError
-from swarmtwin.policies.learning import Learner
-from swarmtwin.policies.onnx_file import check_equal, onnx_model
+from swarmtwin.learning.weights import save_weights
+from swarmtwin.policies.onnx_export import check_equal, onnx_model
 from swarmtwin.policies.policy import Architecture, Policy
-from swarmtwin.policies.store import load_policy, save_policy
-from swarmtwin.weights import save_weights
+from swarmtwin.policies.policy_folder import load_policy, save_policy
+from swarmtwin.policies.training import Learner
+from swarmtwin.robot import Arena
+from tiny_policies import ALGORITHMS, ARCHITECTURE, policy_job, provenance, robot_named, simulation, small, task_named
 
 TASK = task_named("collective")
 
 
 @pytest.fixture
-def policy():
-    robot = robot_named("mgr")
+def policy(written):
+    """A policy of the same weights."""
+    return copy.deepcopy(written[0])
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A policy and its folder, not to be changed."""
+    robot, folder = robot_named("mgr"), tmp_path_factory.mktemp("policy")
     torch.manual_seed(0)
-    return Policy(robot, TASK.build(robot).observation_names, ARCHITECTURE).eval()
+    policy = Policy(robot, TASK.build(robot).observation_names, ARCHITECTURE).eval()
+    save_policy(folder, policy, TASK, robot.arena_mm, provenance())
+    return policy, folder
 
 
 @pytest.fixture
-def saved(policy, tmp_path):
-    save_policy(tmp_path, policy, TASK, provenance())
-    return tmp_path
+def saved(written, tmp_path):
+    """A copy of the folder."""
+    return shutil.copytree(written[1], tmp_path / "policy")
 
 
 def observations(count=200, size=25, seed=0):
@@ -37,11 +50,11 @@ def observations(count=200, size=25, seed=0):
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_a_policy_commands_what_its_algorithm_would(tmp_path, name):
     folder = simulation(tmp_path / "simulation", robot_named("mgr"))
-    learner = Learner(lesson(folder, algorithm=small(name)))
-    learner.algorithm.learn(learner.lesson.algorithm.steps * learner.env.num_envs)
+    learner = Learner(policy_job(folder, algorithm=small(name)))
+    learner.algorithm.learn(learner.job.algorithm.steps * learner.env.num_envs)
     seen = observations(size=len(learner.task.observation_names))
     action, _ = learner.algorithm.predict(seen, deterministic=True)
-    robot = learner.lesson.robot
+    robot = learner.job.robot
     expected = robot.command_low + (robot.command_high - robot.command_low) * (action + 1) / 2
     np.testing.assert_allclose(learner.policy.act(seen[None])[0], expected, rtol=1e-5, atol=1e-3)
     assert np.abs(action).max() > 0
@@ -110,14 +123,20 @@ def test_the_description_can_be_read_by_people(saved):
 
 
 @pytest.mark.parametrize("architecture", [ARCHITECTURE, Architecture(layers=(8,), activation="tanh", squashing="clip")])
-@pytest.mark.parametrize("vehicles", [1, 5, 64])
-def test_onnx_commands_the_same_for_any_number_of_vehicles(architecture, vehicles):
+def test_onnx_commands_the_same_for_any_number_of_vehicles(architecture):
     policy = Policy(robot_named("mur"), tuple("abcdef"), architecture).eval()
     session = onnxruntime.InferenceSession(onnx_model(policy).SerializeToString())
-    seen = observations(vehicles, 6)
-    (command,) = session.run(None, {"observation": seen})
     span = policy.robot.command_high - policy.robot.command_low
-    assert np.max(np.abs(command - policy.act(seen[None])[0]) / span) < 1e-5
+    for vehicles in (1, 5, 64):
+        observed = observations(vehicles, 6)
+        (command,) = session.run(None, {"observation": observed})
+        assert np.max(np.abs(command - policy.act(observed[None])[0]) / span) < 1e-5
+
+
+def test_onnx_tells_nothing_of_the_machine_that_made_it(policy):
+    content = onnx_model(policy).SerializeToString()
+    assert b"swarmtwin" not in content
+    assert b"site-packages" not in content
 
 
 def test_onnx_that_commands_something_else_is_not_written(policy):
@@ -168,12 +187,21 @@ def test_weights_of_another_architecture_are_refused(saved):
     assert refusal(saved) == expected
 
 
-def test_weights_that_are_not_finite_are_refused(policy, tmp_path):
-    save_policy(tmp_path, policy, TASK, provenance())
+def test_weights_that_are_not_finite_are_refused(policy, saved):
     weights = policy.state_dict()
     weights["network.0.bias"] = torch.full((16,), torch.nan)
-    save_weights(tmp_path, weights)
-    assert "network.0.bias is not finite" in refusal(tmp_path)
+    save_weights(saved, weights)
+    assert "network.0.bias is not finite" in refusal(saved)
+
+
+def test_a_policy_is_for_the_arena_that_it_learned_in(policy, saved):
+    assert load_policy(saved).build_task().arena == policy.robot.arena_mm
+    change(saved, arena_mm={"x": [0, 3000], "y": [-500, 2000]})
+    assert load_policy(saved).build_task().arena == Arena(x=(0, 3000), y=(-500, 2000))
+    content = yaml.safe_load((saved / "policy.yaml").read_text())
+    del content["arena_mm"]
+    (saved / "policy.yaml").write_text(yaml.safe_dump(content))
+    assert load_policy(saved).build_task().arena == policy.robot.arena_mm
 
 
 def test_a_policy_of_another_robot_is_refused(saved):

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lessons import robot_named, task_named
 from swarmtwin.errors import UserError
-from swarmtwin.policies.figures import rewards_figure, success_figure
-from swarmtwin.policies.transfer import metrics_of, reward_difference, rollout_table, tracked_figures
+from swarmtwin.policies.reward_plots import rewards_figure, success_figure
+from swarmtwin.policies.rollout_comparison import metrics_of, reward_difference, rollout_table, tracked_figures
 from swarmtwin.world.rollout import Rate, Rollout
-from swarmtwin.world.scene import Scene
+from swarmtwin.world.scenario import Scenario
+from tiny_policies import robot_named, task_named
 
 PERIODS, WORLDS, VEHICLES = 20, 40, 5
 
@@ -23,8 +23,9 @@ def rollouts(rewards, lasted=PERIODS):
     nothing = np.zeros((PERIODS, worlds, VEHICLES), dtype=bool)
     return Rollout(
         robot=robot_named("mgr"),
+        arena=robot_named("mgr").arena_mm,
         task=task_named("collective"),
-        scene=Scene.beginning(pose[0], np.full((worlds, 1, 2), 500.0)),
+        scenario=Scenario.beginning(pose[0], np.full((worlds, 1, 2), 500.0)),
         pose=pose,
         leg=np.zeros((PERIODS + 1, worlds), dtype=int),
         command=np.ones((PERIODS, worlds, VEHICLES, 2)),

@@ -8,7 +8,7 @@ import pytest
 
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, orientation_error_rad, position_error_mm, wrap_angle
-from swarmtwin.recordings.mrclam import read_mrclam
+from swarmtwin.recordings.importers.mrclam import Config
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.transitions import from_recording
 
@@ -56,7 +56,7 @@ def planted(tmp_path):
 
 
 def transitions_of(robot, folder, **options):
-    header, tracks = read_mrclam(folder, robot, **options)
+    header, tracks = Config().read(folder, robot, **options)
     return from_recording(Recording(robot, header, tuple(tracks)))
 
 
@@ -74,7 +74,7 @@ def test_commands_are_averaged_over_each_interval(create, planted):
     """At a tick half way between two whole seconds the interval ends at a change; from there it holds the next."""
     odometry = planted / "Robot1_Odometry.dat"
     write_file(odometry, [[EPOCH_S + 3, 0.01, 0.1], [EPOCH_S + 3.4, 0.06, -0.1], [EPOCH_S + 4.0, 0.0, 0.0]])
-    _, tracks = read_mrclam(planted, create, vehicles=("1",))
+    _, tracks = Config().read(planted, create, vehicles=("1",))
     np.testing.assert_allclose(tracks[0].command[0], [0.8 * 10 + 0.2 * 60, 0.8 * 0.1 - 0.2 * 0.1], atol=1e-4)
     np.testing.assert_allclose(tracks[0].command[1], [60, -0.1], atol=1e-4)
 
@@ -91,7 +91,7 @@ def test_rows_out_of_order_are_sorted(create, planted):
 
 
 def test_runs_are_cut_at_common_times_and_share_the_pose_between_them(create, planted):
-    _, tracks = read_mrclam(planted, create, run_s=10.0)
+    _, tracks = Config().read(planted, create, run_s=10.0)
     assert [(track.run, track.vehicle) for track in tracks] == [
         (f"run_{run:04d}", vehicle) for run in range(1, 6) for vehicle in ("1", "2")
     ]
@@ -126,7 +126,7 @@ def test_a_command_is_not_held_for_longer_than_stated(create, planted):
 
 
 def test_the_header_tells_source_and_start(create, planted):
-    header, _ = read_mrclam(planted, create)
+    header, _ = Config().read(planted, create)
     assert (header.robot, header.period_s, header.vehicles) == ("create", 0.5, ("1", "2"))
     assert header.started_at == "2009-07-24T14:02:55.000+00:00"
     assert header.source == f"MR.CLAM, {planted.name} (Leung et al., IJRR 2011)"
@@ -137,7 +137,7 @@ def test_the_header_tells_source_and_start(create, planted):
 
 def refusal(robot, folder, **options):
     with pytest.raises(UserError) as refused:
-        read_mrclam(folder, robot, **options)
+        Config().read(folder, robot, **options)
     return str(refused.value)
 
 

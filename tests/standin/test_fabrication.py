@@ -1,6 +1,6 @@
 import numpy as np
 
-from swarmtwin.standin.fabrication import LARGEST_DEVIATION, fabricate
+from swarmtwin.standin.physics import LARGEST_DEVIATION, fabricate
 
 SPREADS = {"speed": 0.02, "track": 0.01}
 

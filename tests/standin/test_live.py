@@ -7,7 +7,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.live import LiveVehicles
-from swarmtwin.standin.session import Session, film
+from swarmtwin.standin.session import StandInSession, drive_session
 
 RUNS, STEPS = 300, 12
 
@@ -35,18 +35,18 @@ def test_live_vehicles_move_as_recorded_ones(robots, robot, effects):
         robots[robot].command_low, robots[robot].command_high, (STEPS, len(robots[robot].command))
     )
     vehicles = ("2", "5")
-    session = Session(robots[robot], vehicles, RUNS, STEPS, 1, effects, drive=drive_to_play, planned_runs=RUNS)
-    footage = film(session)
-    true_start = np.moveaxis(footage.state[:3, :, 0], 0, -1)
+    session = StandInSession(robots[robot], vehicles, RUNS, STEPS, 1, effects, drive=drive_to_play, planned_runs=RUNS)
+    driven = drive_session(session)
+    true_start = np.moveaxis(driven.state[:3, :, 0], 0, -1)
     live = LiveVehicles(robots[robot], vehicles, RUNS, 2, effects, planned_steps=STEPS)
-    poses = drive(live, true_start, footage.command)
-    driven = displacement_between(poses[:, :-1], poses[:, 1:])
-    recorded = displacement_between(footage.pose[:, :-1], footage.pose[:, 1:])
-    standard_error = np.sqrt((driven.var(axis=0) + recorded.var(axis=0)) / RUNS)
-    deviation = (driven.mean(axis=0) - recorded.mean(axis=0)) / standard_error
+    poses = drive(live, true_start, driven.command)
+    moved = displacement_between(poses[:, :-1], poses[:, 1:])
+    recorded = displacement_between(driven.pose[:, :-1], driven.pose[:, 1:])
+    standard_error = np.sqrt((moved.var(axis=0) + recorded.var(axis=0)) / RUNS)
+    deviation = (moved.mean(axis=0) - recorded.mean(axis=0)) / standard_error
     assert np.abs(deviation).max() < 4.5
     assert (deviation**2).mean() < 1.6
-    spread = driven.std(axis=0) / recorded.std(axis=0)
+    spread = moved.std(axis=0) / recorded.std(axis=0)
     assert np.median(np.abs(spread - 1)) < 0.1
 
 
@@ -90,10 +90,10 @@ def test_a_robot_without_a_stand_in_is_refused(robots):
 @pytest.mark.parametrize("robot", ["mgr", "mur"])
 def test_one_group_goes_through_the_very_numbers_of_a_recorded_run(robots, robot):
     effects = parse_effects([{"name": "command_loss", "probability": 0.3}], robots[robot], 2)
-    footage = film(Session(robots[robot], ("2", "5"), 1, STEPS, 7, effects))
+    driven = drive_session(StandInSession(robots[robot], ("2", "5"), 1, STEPS, 7, effects))
     live = LiveVehicles(robots[robot], ("2", "5"), 1, 7, effects)
-    poses = drive(live, np.moveaxis(footage.state[:3, :, 0], 0, -1), footage.command)
-    np.testing.assert_allclose(poses, footage.pose, rtol=0, atol=1e-9)
+    poses = drive(live, np.moveaxis(driven.state[:3, :, 0], 0, -1), driven.command)
+    np.testing.assert_allclose(poses, driven.pose, rtol=0, atol=1e-9)
 
 
 def test_a_vehicle_that_is_named_twice_is_refused(robots):

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from swarmtwin.geometry import displacement_between
-from swarmtwin.standin.conditions import Conditions
-from swarmtwin.standin.mgr import Mgr, MgrUnit
+from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.physics import Period, advance
+from swarmtwin.standin.robots.mgr import MgrUnit, StandIn
 
 COMMANDS = np.random.default_rng(4).uniform(-120, 120, (2, 60, 1))
 REST = np.zeros((2, 60, 1))
@@ -21,7 +21,7 @@ def move(physics, start, commands):
 
 @pytest.fixture
 def drawn(robots):
-    return Mgr(MgrUnit.as_drawn(), Conditions(robots["mgr"]))
+    return StandIn(MgrUnit.as_drawn(), ActiveEffects(robots["mgr"]))
 
 
 def test_equal_wheels_drive_a_symmetric_vehicle_straight(drawn):
@@ -63,7 +63,7 @@ def test_a_moving_vehicle_rolls_on_when_told_to_stop(drawn):
 
 def test_the_time_step_converges_with_second_order(drawn, monkeypatch):
     def end_of_two_periods(substeps):
-        monkeypatch.setattr(Mgr, "substeps", substeps)
+        monkeypatch.setattr(StandIn, "substeps", substeps)
         return move(drawn, START, [COMMANDS, -COMMANDS[::-1]])
 
     exact = end_of_two_periods(800)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from swarmtwin.geometry import displacement_between
-from swarmtwin.standin.conditions import Conditions
-from swarmtwin.standin.mur import Mur, MurUnit
+from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.physics import NOTHING_SPECIAL, Period, advance
+from swarmtwin.standin.robots.mur import MurUnit, StandIn
 
 COUNT = 60
 LOW, HIGH = np.array([-79, 0, 3.0]), np.array([79, 60, 9.0])
@@ -12,7 +12,7 @@ COMMANDS = np.random.default_rng(4).uniform(LOW, HIGH, (COUNT, 3)).T[:, :, None]
 STILL = np.array([0.0, 0.0, 3.0]).reshape(3, 1, 1) * np.ones((1, COUNT, 1))
 MIDDLE = np.array([1000.0, 500.0, 0.4]).reshape(3, 1, 1) * np.ones((1, COUNT, 1))
 MIRROR = np.array([-1.0, 1.0, 1.0]).reshape(3, 1, 1)
-PHASE = Mur.states.index("phase_rad")
+PHASE = StandIn.states.index("phase_rad")
 
 
 def swim(physics, state, command, periods=1, noise=None):
@@ -27,7 +27,7 @@ def between(start, end):
 
 @pytest.fixture
 def drawn(robots):
-    return Mur(MurUnit.as_drawn(), Conditions(robots["mur"]))
+    return StandIn(MurUnit.as_drawn(), ActiveEffects(robots["mur"]))
 
 
 def test_a_mirrored_fin_mirrors_the_motion(drawn):
@@ -100,7 +100,7 @@ def test_what_touches_a_wall_keeps_its_speed_along_it_and_loses_it_across(drawn)
 
 def test_the_time_step_converges_with_first_order(drawn, monkeypatch):
     def end(substeps):
-        monkeypatch.setattr(Mur, "substeps", substeps)
+        monkeypatch.setattr(StandIn, "substeps", substeps)
         state = drawn.at_rest(MIDDLE)
         return between(state, swim(drawn, state, COMMANDS))
 

@@ -3,7 +3,7 @@ import warnings
 import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
-from play import TASKS, dynamics_of, one_world, robot_named, task_named
+from tiny_worlds import TASKS, one_world, robot_named, simulation_of, task_named
 
 from swarmtwin.errors import UserError
 from swarmtwin.world.motion import SimulatedMotion
@@ -12,7 +12,7 @@ from swarmtwin.world.parallel_env import parallel_env
 
 def env_of(name, **options):
     task = task_named(name)
-    return parallel_env(task, SimulatedMotion(dynamics_of(task.robot, "mlp"), 1, task.vehicles), **options)
+    return parallel_env(task, SimulatedMotion(simulation_of(task.robot, "mlp"), 1, task.vehicles), **options)
 
 
 @pytest.mark.parametrize("name", TASKS)
@@ -68,7 +68,7 @@ def test_misuse_is_named():
     with pytest.raises(UserError, match="no such render mode: 'rgb_aray': did you mean 'rgb_array'"):
         env_of("collective", render_mode="rgb_aray")
     with pytest.raises(UserError, match="the task is for robot 'mgr' and its motion is that of 'mur'"):
-        parallel_env(task_named("collective"), SimulatedMotion(dynamics_of(robot_named("mur"), "mlp"), 1, 5))
+        parallel_env(task_named("collective"), SimulatedMotion(simulation_of(robot_named("mur"), "mlp"), 1, 5))
     env = env_of("pair")
     with pytest.raises(ValueError, match="no action for vehicle_1"):
         env.step({"vehicle_0": np.zeros(3)})

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 import yaml
-from play import CONF, TASKS, moved, one_world, robot_named, task_named, world_of
+from tiny_worlds import CONF, TASKS, moved, one_world, robot_named, task_named, world_of
 
 from swarmtwin.errors import UserError
-from swarmtwin.world.registry import config_class, task_config, task_kinds
+from swarmtwin.robot import Arena
+from swarmtwin.world.task import config_class, task_config, task_kinds
 
 
 def test_every_kind_of_task_has_a_configuration():
@@ -30,14 +31,14 @@ def test_every_shipped_task_is_typed_in_full_and_plays(name):
 @pytest.mark.parametrize("name", TASKS)
 def test_scenes_begin_without_a_collision_inside_the_arena_and_away_from_the_target(name):
     task = task_named(name)
-    scene = task.draw(np.random.default_rng(1), 500)
-    events = task.events(scene, scene.start)
+    scenario = task.draw(np.random.default_rng(1), 500)
+    events = task.events(scenario, scenario.start)
     assert not events.collided.any()
     assert not events.left_arena.any()
     low, high = task.start_room_mm
-    assert (scene.start[..., :2] >= low).all()
-    assert (scene.start[..., :2] <= high).all()
-    assert (np.abs(scene.start[..., 2]) <= np.pi).all()
+    assert (scenario.start[..., :2] >= low).all()
+    assert (scenario.start[..., :2] <= high).all()
+    assert (np.abs(scenario.start[..., 2]) <= np.pi).all()
     assert not events.at_target.any()
 
 
@@ -51,9 +52,9 @@ def test_the_same_seed_draws_the_same_scenes_and_another_seed_others(name):
 
 
 def test_starts_are_uniform_headings_too():
-    scene = task_named("collective").draw(np.random.default_rng(3), 2000)
-    assert np.abs(scene.start[..., :2].mean(axis=(0, 1)) - 515).max() < 15
-    assert abs(np.exp(1j * scene.start[..., 2]).mean()) < 0.03
+    scenario = task_named("collective").draw(np.random.default_rng(3), 2000)
+    assert np.abs(scenario.start[..., :2].mean(axis=(0, 1)) - 515).max() < 15
+    assert abs(np.exp(1j * scenario.start[..., 2]).mean()) < 0.03
 
 
 def test_targets_lie_in_the_inner_half_and_apart():
@@ -66,14 +67,14 @@ def test_targets_lie_in_the_inner_half_and_apart():
 
 def test_the_obstacle_lies_across_the_way():
     task = task_named("obstacle")
-    scene = task.draw(np.random.default_rng(1), 500)
-    start, target, centre = scene.start[:, 0, :2], scene.targets[:, 0], scene.obstacles[:, 0, :2]
+    scenario = task.draw(np.random.default_rng(1), 500)
+    start, target, centre = scenario.start[:, 0, :2], scenario.targets[:, 0], scenario.obstacles[:, 0, :2]
     way = target - start
     along = ((centre - start) * way).sum(axis=1) / (way**2).sum(axis=1)
     aside = np.abs(way[:, 0] * (centre - start)[:, 1] - way[:, 1] * (centre - start)[:, 0]) / np.hypot(*way.T)
     assert ((along > 0) & (along < 1)).all()
-    assert (aside < scene.obstacles[:, 0, 2]).all()
-    assert (np.hypot(*(centre - target).T) > scene.obstacles[:, 0, 2] + task.half_vehicle_mm).all()
+    assert (aside < scenario.obstacles[:, 0, 2]).all()
+    assert (np.hypot(*(centre - target).T) > scenario.obstacles[:, 0, 2] + task.half_vehicle_mm).all()
 
 
 @pytest.mark.parametrize(
@@ -91,16 +92,16 @@ def test_equation_3_by_hand(distances, expected):
     """Two vehicles on the x axis at these distances from the target; nearer than 150 mm to each other costs 5."""
     task = task_named("collective", vehicles=2)
     pose = [(100.0 + distance, 500.0, 0.7) for distance in distances]
-    scene = one_world(task, pose, (100.0, 500.0))
-    assert task.reward(scene, scene.start)[0] == pytest.approx(expected)
+    scenario = one_world(task, pose, (100.0, 500.0))
+    assert task.reward(scenario, scenario.start)[0] == pytest.approx(expected)
 
 
 def test_equation_3_counts_every_near_neighbour_once_and_150_mm_is_not_near():
     task = task_named("collective", vehicles=4)
     pose = [(400.0, 500.0, 0.0), (500.0, 500.0, 0.0), (600.0, 500.0, 0.0), (750.0, 500.0, 0.0)]
-    scene = one_world(task, pose, (400.0, 900.0))
+    scenario = one_world(task, pose, (400.0, 900.0))
     target = -20 * np.hypot(np.array([0, 100, 200, 350]), 400) / 1400
-    assert task.reward(scene, scene.start)[0] == pytest.approx(target - 5 * np.array([1, 2, 1, 0]))
+    assert task.reward(scenario, scenario.start)[0] == pytest.approx(target - 5 * np.array([1, 2, 1, 0]))
 
 
 def test_the_obstacles_reward_by_hand():
@@ -117,34 +118,34 @@ def test_a_collision_is_nearer_than_100_mm_and_has_two_sides():
     task = task_named("collective", vehicles=3)
     for distance, collide in ((99.9, True), (100.0, False)):
         pose = [(300.0, 300.0, 0.0), (300.0 + distance, 300.0, 0.0), (700.0, 700.0, 0.0)]
-        scene = one_world(task, pose, (500.0, 500.0))
-        assert task.collided(scene, scene.start)[0].tolist() == [collide, collide, False]
+        scenario = one_world(task, pose, (500.0, 500.0))
+        assert task.collided(scenario, scenario.start)[0].tolist() == [collide, collide, False]
 
 
 def test_the_obstacle_is_touched_at_half_a_vehicle_from_its_edge():
     task = task_named("obstacle")
     for distance, touches in ((124.9, True), (125.0, False)):
-        scene = one_world(task, [(300.0, 300.0, 0.0)], (900.0, 900.0), (300.0 + distance, 300.0, 80.0))
-        assert task.collided(scene, scene.start)[0, 0] == touches
+        scenario = one_world(task, [(300.0, 300.0, 0.0)], (900.0, 900.0), (300.0 + distance, 300.0, 80.0))
+        assert task.collided(scenario, scenario.start)[0, 0] == touches
 
 
 @pytest.mark.parametrize("name", ["collective", "obstacle"])
 def test_what_is_seen_and_earned_does_not_depend_on_the_arenas_frame(name):
     task = task_named(name)
-    scene = task.draw(np.random.default_rng(5), 50)
+    scenario = task.draw(np.random.default_rng(5), 50)
     for shift, turn_rad in (((300.0, -80.0), 0.0), ((0.0, 0.0), np.pi / 2), ((-900.0, 40.0), 2.3)):
-        other, pose = moved(scene, scene.start, shift, turn_rad)
-        assert task.observe(other, pose) == pytest.approx(task.observe(scene, scene.start), abs=1e-6)
-        assert task.reward(other, pose) == pytest.approx(task.reward(scene, scene.start))
+        other, pose = moved(scenario, scenario.start, shift, turn_rad)
+        assert task.observe(other, pose) == pytest.approx(task.observe(scenario, scenario.start), abs=1e-6)
+        assert task.reward(other, pose) == pytest.approx(task.reward(scenario, scenario.start))
 
 
 def test_the_pool_looks_the_same_turned_by_half_a_turn_but_not_shifted():
     task = task_named("pair")
-    scene = task.draw(np.random.default_rng(5), 50)
-    turned, pose = moved(scene, scene.start, (2000.0, 1000.0), np.pi)
-    assert task.observe(turned, pose) == pytest.approx(task.observe(scene, scene.start), abs=1e-6)
-    shifted, pose = moved(scene, scene.start, (100.0, 0.0))
-    seen = np.abs(task.observe(shifted, pose) - task.observe(scene, scene.start)).max(axis=(0, 1))
+    scenario = task.draw(np.random.default_rng(5), 50)
+    turned, pose = moved(scenario, scenario.start, (2000.0, 1000.0), np.pi)
+    assert task.observe(turned, pose) == pytest.approx(task.observe(scenario, scenario.start), abs=1e-6)
+    shifted, pose = moved(scenario, scenario.start, (100.0, 0.0))
+    seen = np.abs(task.observe(shifted, pose) - task.observe(scenario, scenario.start)).max(axis=(0, 1))
     walls = [name.startswith("wall") for name in task.observation_names]
     assert seen[~np.array(walls)].max() < 1e-6
     assert seen[walls].min() > 0.01
@@ -153,11 +154,11 @@ def test_the_pool_looks_the_same_turned_by_half_a_turn_but_not_shifted():
 @pytest.mark.parametrize("name", ["collective", "pair"])
 def test_which_neighbour_is_which_does_not_show(name):
     task = task_named(name, vehicles=4) if name == "collective" else task_named(name)
-    scene = task.draw(np.random.default_rng(7), 50)
+    scenario = task.draw(np.random.default_rng(7), 50)
     order = np.array([2, 0, 3, 1]) if name == "collective" else np.array([1, 0])
-    permuted = scene.start[:, order]
-    assert np.array_equal(task.observe(scene, permuted), task.observe(scene, scene.start)[:, order])
-    assert task.reward(scene, permuted) == pytest.approx(task.reward(scene, scene.start)[:, order])
+    permuted = scenario.start[:, order]
+    assert np.array_equal(task.observe(scenario, permuted), task.observe(scenario, scenario.start)[:, order])
+    assert task.reward(scenario, permuted) == pytest.approx(task.reward(scenario, scenario.start)[:, order])
 
 
 @pytest.mark.parametrize(
@@ -186,6 +187,29 @@ def test_a_task_that_cannot_be_done_is_refused(name, changes, message):
     assert str(error.value).endswith(f"(conf/task/{name}.yaml)")
 
 
+@pytest.mark.parametrize("name", TASKS)
+def test_a_task_is_played_in_the_arena_that_is_stated(name):
+    usual = task_named(name)
+    wide = Arena(x=(-1000.0, 2000.0), y=(-500.0, 2500.0))
+    task = task_named(name, arena=wide, steps=500)
+    assert usual.arena == usual.robot.arena_mm
+    scenario = task.draw(np.random.default_rng(1), 500)
+    position = scenario.start[..., :2]
+    assert position.min() >= -1000 + task.config.margin_mm
+    assert position[..., 1].max() > usual.arena.high_mm[1]
+    assert usual.events(scenario, scenario.start).left_arena.any()
+    assert not task.events(scenario, scenario.start).left_arena.any()
+    assert not task.lost(scenario.start).any()
+
+
+def test_walls_are_those_of_the_stated_arena():
+    pose = np.array([[(500.0, 500.0, 0.0), (900.0, 500.0, 0.0)]])
+    near, far = (task_named("pair", arena=Arena(x=(0.0, x_mm), y=(0.0, 1000.0))) for x_mm in (1800.0, 2000.0))
+    ahead = near.observation_names.index("wall_ahead_closeness")
+    seen = [task.observe(one_world(task, pose[0], (100.0, 100.0)), pose)[0, 1, ahead] for task in (near, far)]
+    assert seen == pytest.approx(np.exp([-900 / 250, -1100 / 250]))
+
+
 def test_a_task_for_another_size_of_robot_is_refused():
     with pytest.raises(UserError, match="collision_mm 100 is less than the width of 'mur', 160 mm"):
         task_named("collective", robot=robot_named("mur"))
@@ -198,7 +222,7 @@ def test_a_task_for_another_size_of_robot_is_refused():
             {"kind": "colective"},
             "no such kind of task: 'colective': did you mean 'collective'? known: collective, ",
         ),
-        ({"name": "collective"}, "x: field 'kind' is missing: it says which task; known: collective, obstacle"),
+        ({"name": "collective"}, "x: field 'kind' is missing: it says which kind of task; known: collective, obstacle"),
         ({"vehicles": 1}, "x: field 'vehicles': Input should be greater than or equal to 2, got 1"),
         ({"reech_mm": 1}, "x: unknown field 'reech_mm': did you mean 'reach_mm'?"),
     ],
@@ -216,6 +240,6 @@ def test_as_many_as_are_said_to_fit_do_fit():
         task_named("collective", vehicles=40, reach_mm=300)
     fitting = int(str(error.value).split("about ")[1].split()[0])
     task = task_named("collective", vehicles=fitting, reach_mm=300)
-    scene = task.draw(np.random.default_rng(0), 20)
-    assert scene.start.shape == (20, fitting, 3)
-    assert not task.collided(scene, scene.start).any()
+    scenario = task.draw(np.random.default_rng(0), 20)
+    assert scenario.start.shape == (20, fitting, 3)
+    assert not task.collided(scenario, scenario.start).any()

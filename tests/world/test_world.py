@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from play import TASKS, ExactMotion, Scripted, Still, dynamics_of, one_world, robot_named, task_named, world_of
+from tiny_worlds import TASKS, ExactMotion, Scripted, Still, one_world, robot_named, simulation_of, task_named, world_of
 
 from swarmtwin.errors import UserError
 from swarmtwin.world.motion import SimulatedMotion
-from swarmtwin.world.scene import Scene
+from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.world import World
 
 STEP_PARTS = ("observation", "reward", "command", "counted", "reached", "terminated", "truncated")
@@ -22,7 +22,7 @@ def test_many_worlds_are_the_same_as_one_at_a_time_bit_for_bit(name):
     drives = commands(together, steps=task.steps)
     singles = [world_of(task, worlds=1) for _ in range(5)]
     for index, single in enumerate(singles):
-        single.start(together.scene.where(np.array([index])))
+        single.start(together.scenario.where(np.array([index])))
         assert np.array_equal(single.observe()[0], together.observe()[index])
     for drive in drives:
         step = together.step(drive)
@@ -111,9 +111,9 @@ def test_the_next_target_follows_once_the_first_is_held():
     poses = np.array([[together((200.0, 200.0))]] * 3 + [[together((200.0, 200.0), (315.0, 515.0))]] * 3)
     world = World(task, Scripted(task.robot, poses), 1, 0)
     targets = np.array([[(515.0, 515.0), (315.0, 515.0)]])
-    world.start(Scene.beginning(np.array([together((400.0, 400.0))]), targets))
+    world.start(Scenario.beginning(np.array([together((400.0, 400.0))]), targets))
     steps = [world.step(np.zeros(world.shape)) for _ in range(2)]
-    assert world.scene.leg.tolist() == [1]
+    assert world.scenario.leg.tolist() == [1]
     assert steps[1].reward[0] == pytest.approx(np.full(2, -20 * 200 / 1400))
     assert steps[1].observation[0, 0, 4] == pytest.approx(0 / 500, abs=1e-6)
     steps += [world.step(np.zeros(world.shape)) for _ in range(4)]
@@ -193,14 +193,14 @@ def test_commands_of_another_shape_are_a_programming_error():
     world = world_of(task_named("collective"))
     with pytest.raises(ValueError, match=r"commands of shape \(5, 2\) for worlds, vehicles, columns \(3, 5, 2\)"):
         world.step(np.zeros((5, 2)))
-    with pytest.raises(ValueError, match=r"a scene of starts \(2, 5, 3\) for 3 × 5 vehicles"):
-        world.start(world.scene.where(np.array([0, 1])))
+    with pytest.raises(ValueError, match=r"a scenario of starts \(2, 5, 3\) for 3 × 5 vehicles"):
+        world.start(world.scenario.where(np.array([0, 1])))
 
 
 def test_a_model_of_another_robot_is_refused():
     task, mur = task_named("collective"), robot_named("mur")
     with pytest.raises(UserError) as error:
-        World(task, SimulatedMotion(dynamics_of(mur, "mlp"), 1, 5), 1, 0)
+        World(task, SimulatedMotion(simulation_of(mur, "mlp"), 1, 5), 1, 0)
     assert str(error.value) == (
         "the task is for robot 'mgr' and its motion is that of 'mur': give the dynamics model of 'mgr', or choose "
         "robot=mur"
@@ -216,7 +216,7 @@ def test_a_model_of_the_robot_with_another_period_is_refused():
 
 def test_a_checkpoint_continues_with_the_same_numbers():
     task = task_named("collective", steps=45)
-    dynamics = dynamics_of(task.robot, "mlp", ("command", "previous_command", "earlier_command", "elapsed_s"))
+    simulation = simulation_of(task.robot, "mlp", ("command", "previous_command", "earlier_command", "elapsed_s"))
 
     def play(world, drives):
         for drive in drives:
@@ -225,13 +225,13 @@ def test_a_checkpoint_continues_with_the_same_numbers():
                 world.restart(step.ended)
         return world.observe()
 
-    world = World(task, SimulatedMotion(dynamics, 3, 5), 3, 0)
+    world = World(task, SimulatedMotion(simulation, 3, 5), 3, 0)
     world.step_count[:] = (0, 20, 40)
     drives = commands(world, steps=60)
     play(world, drives[:30])
     kept, kept_motion = world.state(), world.motion.state()
     expected = play(world, drives[30:])
-    other = World(task, SimulatedMotion(dynamics, 3, 5), 3, 99)
+    other = World(task, SimulatedMotion(simulation, 3, 5), 3, 99)
     other.motion.restore(kept_motion)
     other.restore(kept)
     assert np.array_equal(play(other, drives[30:]), expected)

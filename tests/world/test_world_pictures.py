@@ -2,14 +2,13 @@ import av
 import cv2
 import numpy as np
 import pytest
-from play import Scripted, one_world, task_named, world_of
+from tiny_worlds import Scripted, one_world, task_named, world_of
 
-from swarmtwin.world.figures import paths_figure
-from swarmtwin.world.film import FRAMES_PER_S, frames, write_film
-from swarmtwin.world.palette import rgb, vehicle_colour
-from swarmtwin.world.rendering import Panel, draw, side_by_side
+from swarmtwin.world.rendering.drawing import COLOURS, Panel, draw, rgb, side_by_side
+from swarmtwin.world.rendering.frame import Status, frame_of
+from swarmtwin.world.rendering.paths import paths_figure
+from swarmtwin.world.rendering.video import pictures, write_video
 from swarmtwin.world.rollout import roll_out
-from swarmtwin.world.shot import Status, shot_of
 from swarmtwin.world.world import World
 
 
@@ -26,45 +25,45 @@ def rollout():
     return roll_out(world, lambda observation: np.zeros(world.shape))
 
 
-def colour_at(picture, shot, position_mm):
-    column, row = np.round(Panel(shot.robot.arena_mm).at(np.array(position_mm))).astype(int)
+def colour_at(picture, frame, position_mm):
+    column, row = np.round(Panel(frame.arena).at(np.array(position_mm))).astype(int)
     return tuple(picture[row, column].tolist())
 
 
 def test_vehicles_are_drawn_where_they_are(rollout):
-    shot = shot_of(rollout, 0, 5, "simulation")
-    picture = draw(shot)
+    frame = frame_of(rollout, 0, 5, "simulation")
+    picture = draw(frame)
     assert picture.dtype == np.uint8
-    for vehicle, (x_mm, y_mm, heading_rad) in enumerate(shot.path[-1]):
+    for vehicle, (x_mm, y_mm, heading_rad) in enumerate(frame.path[-1]):
         backwards = np.array([x_mm, y_mm]) - 38 * np.array([np.cos(heading_rad), np.sin(heading_rad)])
-        assert colour_at(picture, shot, backwards) == rgb(vehicle_colour(vehicle))
-    assert colour_at(picture, shot, (30.0, 970.0)) == (255, 255, 255)
+        assert colour_at(picture, frame, backwards) == rgb(COLOURS.vehicle(vehicle))
+    assert colour_at(picture, frame, (30.0, 970.0)) == (255, 255, 255)
 
 
 def test_the_front_is_marked_and_up_is_up(rollout):
-    shot = shot_of(rollout, 0, 0, "simulation")
-    x_mm, y_mm, heading_rad = shot.path[-1, 0]
+    frame = frame_of(rollout, 0, 0, "simulation")
+    x_mm, y_mm, heading_rad = frame.path[-1, 0]
     front = np.array([x_mm, y_mm]) + 28 * np.array([np.cos(heading_rad), np.sin(heading_rad)])
-    assert colour_at(draw(shot), shot, front) == (255, 255, 255)
-    panel = Panel(shot.robot.arena_mm)
+    assert colour_at(draw(frame), frame, front) == (255, 255, 255)
+    panel = Panel(frame.arena)
     assert panel.at(np.array([0.0, 1000.0]))[1] < panel.at(np.array([0.0, 0.0]))[1]
 
 
 def test_between_two_periods_vehicles_are_in_between(rollout):
-    before, between, after = (shot_of(rollout, 0, periods, "").path[-1] for periods in (3, 3.5, 4))
+    before, between, after = (frame_of(rollout, 0, periods, "").path[-1] for periods in (3, 3.5, 4))
     assert between == pytest.approx((before + after) / 2)
-    assert shot_of(rollout, 0, 3.5, "").time_s == 1.75
+    assert frame_of(rollout, 0, 3.5, "").time_s == 1.75
 
 
 def test_the_status_tells_what_has_happened_so_far(rollout):
     reached, collided = int(rollout.reached_step[0]), int(rollout.collided_step[0])
     assert 0 < reached < collided
-    assert shot_of(rollout, 0, 0, "").status is Status.ON_THE_WAY
-    assert shot_of(rollout, 0, reached, "").status is Status.REACHED
-    assert shot_of(rollout, 0, collided - 1, "").status is Status.REACHED
-    assert shot_of(rollout, 0, collided, "").status is Status.COLLIDED
-    assert shot_of(rollout, 0, 40, "").colliding.all()
-    assert shot_of(rollout, 0, 1000, "").time_s == 20
+    assert frame_of(rollout, 0, 0, "").status is Status.ON_THE_WAY
+    assert frame_of(rollout, 0, reached, "").status is Status.REACHED
+    assert frame_of(rollout, 0, collided - 1, "").status is Status.REACHED
+    assert frame_of(rollout, 0, collided, "").status is Status.COLLIDED
+    assert frame_of(rollout, 0, 40, "").colliding.all()
+    assert frame_of(rollout, 0, 1000, "").time_s == 20
 
 
 def test_square_pictures_stand_side_by_side_and_wide_ones_one_under_the_other():
@@ -73,27 +72,27 @@ def test_square_pictures_stand_side_by_side_and_wide_ones_one_under_the_other():
     assert side_by_side([wide, wide]).shape == (1260, 1080, 3)
 
 
-def test_a_film_has_the_right_number_of_frames_and_plays(rollout, tmp_path):
-    path = tmp_path / "film.mp4"
-    pictures = list(frames({"simulation": rollout, "stand-in": rollout}, world=0, speed=10))
-    assert len(pictures) == 2 * FRAMES_PER_S + 1 + 36
-    write_film(path, pictures)
-    assert [file.name for file in tmp_path.iterdir()] == ["film.mp4"]
+def test_a_video_has_the_right_number_of_frames_and_plays(rollout, tmp_path):
+    path = tmp_path / "video.mp4"
+    images = list(pictures({"simulation": rollout, "stand-in": rollout}, world=0, speed=10))
+    assert len(images) == 2 * 24 + 1 + 36
+    write_video(path, images)
+    assert [file.name for file in tmp_path.iterdir()] == ["video.mp4"]
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
-        assert stream.average_rate == FRAMES_PER_S
+        assert stream.average_rate == 24
         decoded = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
-    assert len(decoded) == len(pictures)
-    assert decoded[0].shape == pictures[0].shape == (720, 1348, 3)
-    assert np.abs(decoded[-1].astype(float) - pictures[-1]).mean() < 3
+    assert len(decoded) == len(images)
+    assert decoded[0].shape == images[0].shape == (720, 1348, 3)
+    assert np.abs(decoded[-1].astype(float) - images[-1]).mean() < 3
     capture = cv2.VideoCapture(str(path))
-    assert int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) == len(pictures)
+    assert int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) == len(images)
     assert capture.read()[0]
 
 
-def test_a_film_that_breaks_off_leaves_the_old_one(tmp_path):
-    path = tmp_path / "film.mp4"
+def test_a_video_that_breaks_off_leaves_the_old_one(tmp_path):
+    path = tmp_path / "video.mp4"
     path.write_bytes(b"old")
 
     def broken():
@@ -101,22 +100,22 @@ def test_a_film_that_breaks_off_leaves_the_old_one(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_film(path, broken())
+        write_video(path, broken())
     assert path.read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 
 
-@pytest.mark.parametrize("pictures", [[], [np.zeros((63, 64, 3), np.uint8)]])
-def test_a_film_needs_pictures_of_an_even_size(tmp_path, pictures):
-    with pytest.raises(ValueError, match="a film needs pictures of an even width and height"):
-        write_film(tmp_path / "film.mp4", pictures)
+@pytest.mark.parametrize("images", [[], [np.zeros((63, 64, 3), np.uint8)]])
+def test_a_video_needs_pictures_of_an_even_size(tmp_path, images):
+    with pytest.raises(ValueError, match="a video needs pictures of an even width and height"):
+        write_video(tmp_path / "video.mp4", images)
 
 
 @pytest.mark.parametrize("name", ["collective", "obstacle", "pair"])
 def test_every_task_can_be_drawn(name):
     world = world_of(task_named(name), worlds=1)
     played = roll_out(world, lambda observation: np.tile(world.robot.command_high / 2, (1, world.shape[1], 1)))
-    picture = draw(shot_of(played, 0, 3, "simulation"))
+    picture = draw(frame_of(played, 0, 3, "simulation"))
     assert not any(size % 2 for size in picture.shape[:2])
     figure = paths_figure({"simulation": played, "stand-in": played}, 0)
     titles = [panel.get_title() for panel in figure.axes]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from play import Scripted, Still, one_world, task_named, world_of
 from scipy.stats import binomtest
+from tiny_worlds import Scripted, Still, one_world, task_named, world_of
 
 from swarmtwin.world.rollout import NEVER, Rate, figures_of, roll_out
 from swarmtwin.world.world import World
@@ -36,7 +36,7 @@ def test_a_roll_out_records_what_the_world_did():
     rollout = roll_out(world_of(task, worlds=3, seed=2), drive())
     world = world_of(task, worlds=3, seed=2)
     assert rollout.pose.shape == (task.steps + 1, 3, 5, 3)
-    assert np.array_equal(rollout.pose[0], rollout.scene.start)
+    assert np.array_equal(rollout.pose[0], rollout.scenario.start)
     for command, pose, reward in zip(rollout.command, rollout.pose[1:], rollout.reward, strict=True):
         step = world.step(command)
         assert np.array_equal(world.pose, pose)
@@ -48,14 +48,14 @@ def test_the_same_scenes_played_again_give_the_same_roll_out():
     task = task_named("collective")
     first = roll_out(world_of(task, seed=1), drive())
     other = world_of(task, seed=77)
-    other.start(first.scene)
+    other.start(first.scenario)
     assert np.array_equal(roll_out(other, drive()).pose, first.pose)
 
 
 def test_a_world_that_has_been_played_is_not_rolled_out():
     world = world_of(task_named("collective"))
     world.step(np.zeros(world.shape))
-    with pytest.raises(ValueError, match="the world has been played already: reset it, or start it in a scene"):
+    with pytest.raises(ValueError, match="the world has been played already: reset it, or start it in a scenario"):
         roll_out(world, drive())
 
 
@@ -124,5 +124,5 @@ def test_figures_sum_up_over_roll_outs():
     assert np.isnan(figures.reach_time_s)
     assert figures.reward == pytest.approx(rollout.reward.mean())
     assert figures.reward_sd == pytest.approx(rollout.reward.mean(axis=(0, 2)).std())
-    distance = np.hypot(*np.moveaxis(rollout.scene.start[..., :2] - rollout.scene.targets, -1, 0)).max(axis=1)
+    distance = np.hypot(*np.moveaxis(rollout.scenario.start[..., :2] - rollout.scenario.targets, -1, 0)).max(axis=1)
     assert figures.final_distance_mm == pytest.approx(distance.mean())

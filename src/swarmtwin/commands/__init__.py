@@ -28,7 +28,7 @@ COMMANDS = {
     "learn": Command("learn", "learn a policy, shared by all vehicles, in the simulated world"),
     "rollout": Command("rollout", "a policy from the same starts in the simulation and on stand-ins, side by side"),
     "promote": Command("promote", "make a registered model the champion, if it passes the gate; or roll back"),
-    "experiment": Command("experiments", "a table or figure of the paper, or an overview of the pipeline"),
+    "experiment": Command("experiment", "a table or figure of the paper, or an overview of the pipeline"),
 }
 
 HELP = """swarmtwin: learn one robot's motion from its recording, and simulate the group
@@ -57,6 +57,9 @@ def main() -> None:
     if name not in COMMANDS:
         print(f"swarmtwin: unknown command {name!r}: {near_miss(name, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
-    from swarmtwin.commands.app import run_command
+    try:
+        from swarmtwin.commands.app import run_command
 
-    sys.exit(run_command(name, COMMANDS[name].module, arguments[1:]))
+        sys.exit(run_command(name, arguments[1:]))
+    except KeyboardInterrupt:  # while the packages are imported
+        sys.exit(130)

@@ -1,5 +1,6 @@
 """Runs one command as a Hydra app: composes its configuration, types it, turns a user's mistake into one line."""
 
+import contextlib
 import errno
 import importlib
 import logging
@@ -7,7 +8,13 @@ import os
 import re
 import signal
 import sys
+import tempfile
+import time
+import traceback
 from collections.abc import Callable, Sequence
+from enum import IntEnum
+from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
 import hydra
@@ -17,75 +24,112 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
-from swarmtwin.configuration import config_folder
-from swarmtwin.errors import UserError, near_miss
+from swarmtwin import __version__
+from swarmtwin.commands import COMMANDS
+from swarmtwin.commands.experiment import chosen_study, studies
+from swarmtwin.configuration import config_files, config_folder, config_folders, let_hydra_find_plugins
+from swarmtwin.errors import RefusedError, UserError, near_miss
 
-FAILED, MISUSED, INTERRUPTED = 1, 2, 130
+
+class Status(IntEnum):
+    """The exit statuses of every command."""
+
+    DONE = 0
+    DEFECT = 1
+    MISTAKE = 2
+    REFUSED = 3
+    INTERRUPTED = 130
 
 
-def run_command(name: str, module_name: str, arguments: list[str]) -> int:
-    """Run command `name` with Hydra `arguments`; return its exit status."""
+def run_command(name: str, arguments: list[str]) -> Status:
+    """Run command `name` with Hydra `arguments`; what goes wrong becomes one line on stderr.
+
+    Returns:
+        `DONE`; `MISTAKE`, which the user can put right; `REFUSED`, an answer that is "no"; `INTERRUPTED`; or `DEFECT`,
+        ours: the line names a log file with the traceback.
+    """
     os.environ["HYDRA_FULL_ERROR"] = "1"
     signal.signal(signal.SIGTERM, _interrupt)
     _start_logging()
-    config_name = name
-    arguments = _spell_out(name, arguments)
+    arguments = _name_folders(name, arguments)
     sys.argv = [f"swarmtwin {name}", *arguments]
+    config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
     try:
+        let_hydra_find_plugins()
         if name == "experiment":
-            if "--help" in arguments and not any(argument.startswith("name=") for argument in arguments):
-                print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(_experiments())}")
-                return 0
-            chosen = _chosen_experiment(arguments)
-            config_name, module_name = f"experiment/{chosen}", f"experiments.{chosen}"
-        module = importlib.import_module(f"swarmtwin.commands.{module_name}")
-        failures: list[Exception] = []
-        app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
-        app(_task(module, failures))()
-        if failures:
-            raise failures[0]
+            study = chosen_study(arguments)
+            if study is None:
+                print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(studies())}")
+                return Status.DONE
+            config_name, module_name = f"experiment/{study}", f"swarmtwin.studies.{study}.study"
+        _run_app(importlib.import_module(module_name), config_name)
+    except RefusedError as error:
+        return _report(name, str(error), Status.REFUSED)
     except UserError as error:
-        return _report(name, str(error), FAILED)
+        return _report(name, str(error), Status.MISTAKE)
     except (HydraException, OmegaConfBaseException) as error:
-        return _report(name, explain(error, config_name, arguments), MISUSED)
-    except OSError as error:
-        return _report(name, _explain_system_fault(error), FAILED)
+        return _report(name, explain(error, config_name, arguments), Status.MISTAKE)
     except MemoryError:
-        return _report(name, "out of memory: ask for less at a time", FAILED)
+        return _report(name, "out of memory: ask for less at a time", Status.MISTAKE)
     except KeyboardInterrupt:
-        return _report(name, "interrupted; what had not finished was left out", INTERRUPTED)
-    return 0
+        return _report(name, "interrupted; what had not finished was left out", Status.INTERRUPTED)
+    except Exception as error:
+        if isinstance(error, OSError) and (remedy := _system_remedy(error)):
+            return _report(name, remedy, Status.MISTAKE)
+        return _report(name, f"{_first_line(error)}: a defect of swarmtwin; {_keep_traceback(error)}", Status.DEFECT)
+    return Status.DONE
 
 
-MODEL_FOLDERS = {"rollout": "policy"}
-"""Options that name a model's folder, where other commands have a group of configurations of that name."""
+def _run_app(module: ModuleType, config_name: str) -> None:
+    """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep."""
+    failures: list[Exception] = []
+    app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
+    app(_task(module, failures))()
+    if failures:
+        raise failures[0]
 
 
-def _spell_out(name: str, arguments: list[str]) -> list[str]:
-    """Turn policy=FOLDER into policy.folder=FOLDER: of policy=... Hydra thinks that it chooses from conf/policy/."""
-    option = MODEL_FOLDERS.get(name)
-    return [
-        argument.replace("=", ".folder=", 1) if option and argument.startswith(f"{option}=") else argument
-        for argument in arguments
-    ]
+def _name_folders(name: str, arguments: list[str]) -> list[str]:
+    """For `rollout`, turn policy=FOLDER into policy.folder=FOLDER: else Hydra would look for FOLDER in conf/policy/."""
+    if name != "rollout":
+        return arguments
+    return [re.sub(r"^policy=", "policy.folder=", argument) for argument in arguments]
 
 
-SYSTEM_FAULTS = {
-    errno.ENOSPC: "the disk is full: make room and run the same command again",
-    errno.EDQUOT: "the disk quota is used up: make room and run the same command again",
-    errno.EACCES: "no permission to read or write",
-    errno.EROFS: "the output is on a read-only file system: choose another output",
-}
-
-
-def _explain_system_fault(error: OSError) -> str:
-    what = SYSTEM_FAULTS.get(error.errno or 0, error.strerror or str(error))
+def _system_remedy(error: OSError) -> str | None:
+    """Say what to do about a fault of the machine; None where the error is not one of those."""
+    remedies = {
+        errno.ENOSPC: "the disk is full: make room and run the same command again",
+        errno.EDQUOT: "the disk quota is used up: make room and run the same command again",
+        errno.EACCES: "no permission to read or write",
+        errno.EPERM: "no permission to read or write",
+        errno.EROFS: "the output is on a read-only file system: choose another output",
+    }
+    if error.errno not in remedies:
+        return None
     where = f" ({error.filename})" if error.filename else ""
-    return f"{what}{where}; no output was changed"
+    return f"{remedies[error.errno]}{where}; no output was changed"
 
 
-def _task(module: Any, failures: list[Exception]) -> Callable[[DictConfig], Any]:
-    """Return what Hydra calls. A single run's failure is kept, since Hydra would print more than the one line."""
+def _first_line(error: Exception) -> str:
+    return " ".join([type(error).__name__, *str(error).strip().splitlines()[:1]])
+
+
+def _keep_traceback(error: Exception) -> str:
+    """Write a traceback to a log file, and say where it is; where no file can be written, show it."""
+    text = f"{' '.join(sys.argv)}\nswarmtwin {__version__}\n\n{''.join(traceback.format_exception(error))}"
+    for folder in (Path("outputs/errors"), Path(tempfile.gettempdir())):
+        file = folder / f"swarmtwin-{time.strftime('%Y-%m-%d_%H-%M-%S')}-{os.getpid()}.log"
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            file.write_text(text)
+            return f"please report it with {file}"
+    print(text, file=sys.stderr)
+    return "please report it with the traceback above"
+
+
+def _task(module: ModuleType, failures: list[Exception]) -> Callable[[DictConfig], Any]:
+    """Return what Hydra calls. A single run's failure is kept in `failures`: Hydra would print more than one line."""
 
     def task(config: DictConfig) -> Any:
         try:
@@ -110,8 +154,7 @@ def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str
     if isinstance(error, MissingConfigException):
         if missing := re.search(r"Could not find '([^']+)/([^'/]+)'", text):
             group, choice = missing.groups()
-            known = [path.stem for path in (config_folder() / group).glob("*.yaml")]
-            return f"no such {group}: {choice!r}: {near_miss(choice, known)}"
+            return f"no such {group}: {choice!r}: {near_miss(choice, config_files(group))}"
         return text.splitlines()[0]
     if unknown := re.search(r"Could not override '([^']+)'", text):
         option = unknown.group(1)
@@ -121,7 +164,7 @@ def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str
 
 def _unknown_and_known(config_name: str, option: str, arguments: Sequence[str]) -> tuple[str, list[str]]:
     """Return the first part of a dotted `option` that does not exist, and the options there are in its place."""
-    shipped = {f"{path.parent.name}={path.stem}" for path in config_folder().glob("*/*.yaml")}
+    shipped = {f"{file.parent.name}={file.stem}" for folder in config_folders() for file in folder.glob("*/*.yaml")}
     with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = hydra.compose(config_name)
         choices = [choice for choice in arguments if choice in shipped and choice.partition("=")[0] in config]
@@ -134,22 +177,7 @@ def _unknown_and_known(config_name: str, option: str, arguments: Sequence[str]) 
     return option, [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
 
 
-def _experiments() -> list[str]:
-    return sorted(path.stem for path in (config_folder() / "experiment").glob("*.yaml"))
-
-
-def _chosen_experiment(arguments: list[str]) -> str:
-    """Find the experiment in `name=...`: its options stand in conf/experiment/<name>.yaml."""
-    known = _experiments()
-    chosen = [argument.partition("=")[2] for argument in arguments if argument.startswith("name=")]
-    if not chosen:
-        raise UserError(f"say which: name=..., {near_miss('', known)}")
-    if chosen[-1] not in known:
-        raise UserError(f"no such experiment: {chosen[-1]!r}: {near_miss(chosen[-1], known)}")
-    return chosen[-1]
-
-
-def _report(name: str, message: str, status: int) -> int:
+def _report(name: str, message: str, status: Status) -> Status:
     print(f"swarmtwin {name}: {message}", file=sys.stderr)
     return status
 

@@ -7,14 +7,17 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin import registry
-from swarmtwin.commands.measurement import Measured, Measurement, load_simulation, measure
-from swarmtwin.commands.sources import Vehicles, read_vehicles
+from swarmtwin.dynamics.error_plots import scatter_figure
 from swarmtwin.dynamics.evaluation import ErrorFigure
-from swarmtwin.dynamics.figures import runs_figure, scatter_figure
+from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.files import check_output, folder_digest, new_folder, write_text
+from swarmtwin.learning.trainer import Device, torch_device
 from swarmtwin.robot import Arena, Robot, StrictModel
-from swarmtwin.tracking import tracked_run
+from swarmtwin.simulation.evaluation import Measured, Measurement, load_simulation, measure
+from swarmtwin.simulation.open_loop_plots import runs_figure
+from swarmtwin.tracking import registry
+from swarmtwin.tracking.runs import tracked_run
+from swarmtwin.transitions.inputs import Vehicles, read_vehicles
 
 
 class Options(StrictModel):
@@ -24,6 +27,7 @@ class Options(StrictModel):
     simulation: str
     recording: Path
     vehicles: Vehicles
+    device: Device
     output: Path
     overwrite: bool
 
@@ -38,13 +42,15 @@ def run(options: Options) -> None:
     simulation = registry.model_folder(options.simulation)
     inputs = [options.recording, simulation]
     check_output(options.output, "evaluate", options.overwrite, inputs)
-    dynamics, provenance = load_simulation(simulation, options.robot)
+    device = torch_device(options.device)
+    model, provenance = load_simulation(simulation, options.robot)
+    kind = read_description(simulation).model["name"]
     recording = read_vehicles(options.recording, options.robot, options.vehicles)
-    name = f"{options.robot.name}-{dynamics.config.name} on {options.recording.name}"
+    name = f"{options.robot.name}-{kind} on {options.recording.name}"
     with tracked_run("dynamics", f"evaluate {name}", settings, inputs) as tracked:
         with new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder:
-            measurement = measure(dynamics, provenance, Measured.of(recording, options.recording))
-            about = {"robot": options.robot.name, "model": dynamics.config.name, "recording": options.recording.name}
+            measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
+            about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
             write_text(folder / "metrics.json", json.dumps({**about, **measurement.metrics()}, indent=1) + "\n")
             _draw(folder, measurement, recording.header.arena_mm)
         tracked.metrics(measurement.overall.tracked())
@@ -78,6 +84,10 @@ def table(name: str, measurement: Measurement) -> Table:
         loop_cells = (f"{loop.rmse_mm:.0f} ± {loop.rmse_sd_mm:.0f}", str(loop.runs)) if loop else ("", "")
         shown.add_row(vehicle, str(figures.one_step.transitions), *errors, *loop_cells)
     shown.caption = "mean ± standard deviation, position above orientation"
+    if history := measurement.overall.floors.get("history"):
+        position, orientation = _errors_text(history.error).splitlines()
+        kind = "" if history.kind == "exact" else ", estimate"
+        shown.caption += f"\nfloor given the commands before as well{kind}: {position} mm, {orientation}°"
     return shown
 
 

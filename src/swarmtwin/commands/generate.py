@@ -3,36 +3,27 @@
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import pandas as pd
 from pydantic import Field
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from swarmtwin.commands.outputs import output_folder
-from swarmtwin.commands.sources import Vehicles, training_transitions
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_output, folder_digest, new_folder, write_text
-from swarmtwin.generators.base import Generator
-from swarmtwin.generators.figures import quality_figure, training_figure
-from swarmtwin.generators.fitting import Record, Report, fit
-from swarmtwin.generators.generator_config import GeneratorConfig
-from swarmtwin.generators.lineage import Lineage
-from swarmtwin.generators.quality import Quality, Sets, assess
-from swarmtwin.generators.registry import generator_config
+from swarmtwin.files import check_output, new_folder, output_folder
+from swarmtwin.generators.generator import generator_config
+from swarmtwin.generators.generator_folder import load_generator, read_description
+from swarmtwin.generators.quality import Quality
 from swarmtwin.generators.sampling import Drawn, draw_believable
-from swarmtwin.generators.store import load_generator, read_description, save_generator
+from swarmtwin.generators.synthesis import GENERATOR, TRANSITIONS, Synthesis, save_drawn, save_synthesis, synthesise
+from swarmtwin.generators.training import Record, Report
+from swarmtwin.learning.trainer import Device
 from swarmtwin.robot import Robot, Seed, StrictModel
-from swarmtwin.tracking import TrackedRun, tracked_run
-from swarmtwin.transitions import Preparation, SplitOptions, Transitions, first_runs
-from swarmtwin.transitions.preparation import save_preparation
-from swarmtwin.transitions.transitions import Split
-
-GENERATOR, TRANSITIONS = "generator", "transitions"
+from swarmtwin.tracking.runs import TrackedRun, tracked_run
+from swarmtwin.transitions import SplitOptions
+from swarmtwin.transitions.inputs import Vehicles, training_transitions
 
 
 class Options(StrictModel):
@@ -47,6 +38,7 @@ class Options(StrictModel):
     real: Annotated[int, Field(ge=1)] | None
     from_folder: Annotated[Path | None, Field(alias="from")]
     count: Annotated[int, Field(ge=2)] | None
+    device: Device
     seed: Seed
     output: Path | None
     overwrite: bool
@@ -65,18 +57,6 @@ def run(options: Options) -> None:
     return _train(options, options.robot)
 
 
-@dataclass(frozen=True)
-class Made:
-    """A trained generator, how its training went, what was drawn from it, and how good that is."""
-
-    generator: Generator
-    history: list[Record]
-    lineage: Lineage
-    drawn: Drawn
-    sets: Sets
-    quality: Quality
-
-
 def _draw_from(options: Options, source: Path) -> None:
     description = read_description(source)
     _check_alone(options, description.robot, source)
@@ -86,7 +66,7 @@ def _draw_from(options: Options, source: Path) -> None:
     generator, description = load_generator(source)
     with new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder:
         drawn = draw_believable(generator, options.count or description.lineage.real_transitions, options.seed)
-        _save_transitions(folder, source, generator, description.lineage, drawn, options.seed)
+        save_drawn(folder / TRANSITIONS, source, generator, description.lineage, drawn, options.seed)
     _say(_drawn_text(output, drawn))
 
 
@@ -118,8 +98,18 @@ def _train(options: Options, robot: Robot) -> None:
     with tracked_run("generator", name, settings, [source], options.seed) as tracked:
         started = time.monotonic()
         with new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder:
-            made = _make(transitions, preparation, config, options)
-            _save(folder, made, options.seed)
+            with _training_bar(f"{robot.name} {config.name}", config.training_steps) as report:
+                made = synthesise(
+                    transitions,
+                    preparation,
+                    config,
+                    options.seed,
+                    real=options.real,
+                    count=options.count,
+                    report=report,
+                    device=options.device,
+                )
+            save_synthesis(folder, made, options.seed)
         _track(tracked, made, time.monotonic() - started)
         tracked.folder(output / GENERATOR, GENERATOR)
     Console().print(_table(name, made.quality))
@@ -127,41 +117,7 @@ def _train(options: Options, robot: Robot) -> None:
     _say(f"the generator, to give away, learned from {made.lineage.real_transitions} real ones: {output / GENERATOR}")
 
 
-def _make(transitions: Transitions, preparation: Preparation, config: GeneratorConfig, options: Options) -> Made:
-    """Train, draw, and compare with real transitions that the generator has not seen."""
-    learned_from = first_runs(transitions, options.real) if options.real else transitions
-    with _training_bar(f"{transitions.robot.name} {config.name}", config.training_steps) as report:
-        generator, history = fit(learned_from, config, options.seed, report)
-    lineage = Lineage.of(preparation, learned_from, options.seed)
-    drawn = draw_believable(generator, options.count or lineage.real_transitions, options.seed)
-    split: Split = "test" if len(transitions.part("test")) else "validation"
-    rows = generator.columns.rows
-    sets = Sets(drawn.rows, rows(learned_from.part("train")), rows(transitions.part(split)))
-    quality = assess(generator.columns, sets, split, drawn.redrawn_share, options.seed)
-    return Made(generator, history, lineage, drawn, sets, quality)
-
-
-def _save(folder: Path, made: Made, seed: int) -> None:
-    (folder / GENERATOR).mkdir()
-    save_generator(folder / GENERATOR, made.generator, made.lineage, made.quality)
-    _save_transitions(folder, folder / GENERATOR, made.generator, made.lineage, made.drawn, seed)
-    write_text(folder / "quality.json", made.quality.model_dump_json(indent=1) + "\n")
-    title = f"{made.generator.robot.title}: synthetic transitions by {made.generator.config.name}"
-    quality_figure(made.generator.columns, made.sets, made.quality, title).savefig(folder / "quality.png")
-    pd.DataFrame(made.history).to_csv(folder / "history.csv", index=False, float_format="%.6g")
-    training_figure(made.history).savefig(folder / "history.png")
-
-
-def _save_transitions(
-    folder: Path, source: Path, generator: Generator, lineage: Lineage, drawn: Drawn, seed: int
-) -> None:
-    """Write what was drawn from the generator, which lies in `source`, with its lineage."""
-    (folder / TRANSITIONS).mkdir()
-    name, digest = generator.config.name, folder_digest(source)
-    save_preparation(folder / TRANSITIONS, *lineage.synthetic(generator.robot, drawn, name, digest, seed))
-
-
-def _track(tracked: TrackedRun, made: Made, seconds: float) -> None:
+def _track(tracked: TrackedRun, made: Synthesis, seconds: float) -> None:
     tracked.metrics(made.quality.tracked() | {"training_s": seconds})
     tracked.history((int(record["step"]), {k: v for k, v in record.items() if k != "step"}) for record in made.history)
     tracked.tag("recording", made.lineage.recording)

@@ -1,29 +1,21 @@
 """`swarmtwin import`: foreign data become a recording."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.commands.sources import Vehicles
-from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import new_folder
-from swarmtwin.recordings.mrclam import read_mrclam
+from swarmtwin.recordings.importer import importer_config
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.recordings.writing import FileFormat, write_recording
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import Counts, Transitions, from_recording
-
-Importer = Callable[[Path, Robot, tuple[str, ...] | None, float], tuple[Header, list[Track]]]
-
-# A new source is one module that reads it, and one entry here.
-IMPORTERS: dict[str, Importer] = {"mrclam": read_mrclam}
-
+from swarmtwin.transitions.inputs import Vehicles
 
 LONGEST_RUN_S = 86_400.0
 FEWEST_PERIODS = 2
@@ -33,7 +25,7 @@ class Options(StrictModel):
     """Options of `swarmtwin import`; their defaults stand in conf/import.yaml."""
 
     robot: Robot
-    source: str
+    source: dict[str, Any]
     path: Path
     vehicles: Vehicles
     run_s: Annotated[float, Field(le=LONGEST_RUN_S)]
@@ -55,12 +47,10 @@ def run(options: Options) -> None:
     Raises:
         UserError: the source is unknown, its data are missing or damaged, or the output is taken.
     """
-    if options.source not in IMPORTERS:
-        raise UserError(f"unknown source {options.source!r}: {near_miss(options.source, IMPORTERS)}")
+    importer = importer_config(options.source, "source")
     config = options.model_dump(mode="json")
     with new_folder(options.output, "import", config, options.overwrite) as folder:
-        importer = IMPORTERS[options.source]
-        header, tracks = importer(options.path, options.robot, options.vehicles, options.run_s)
+        header, tracks = importer.read(options.path, options.robot, options.vehicles, options.run_s)
         write_recording(folder, options.robot, header, tracks, options.format)
         recording = read_recording(folder, options.robot)
         transitions, counts = from_recording(recording)

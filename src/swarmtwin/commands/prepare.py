@@ -10,8 +10,8 @@ from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.tracks import ROW_REASONS
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import SPLITS, Preparation, SplitOptions, from_recording, split_by_run
+from swarmtwin.transitions.displacement_plots import coverage_figure
 from swarmtwin.transitions.extraction import REASONS
-from swarmtwin.transitions.figures import coverage_figure
 from swarmtwin.transitions.preparation import describe, save_preparation
 
 

@@ -1,29 +1,24 @@
 """`swarmtwin record`: stand-in robots drive; a recording results."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
-import pandas as pd
 from pydantic import BeforeValidator, Field
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.commands.sources import as_texts
-from swarmtwin.errors import UserError, near_miss
+from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
-from swarmtwin.recordings.recording import Header, Recording, Track
-from swarmtwin.recordings.writing import HEADING_DECIMALS, POSITION_DECIMALS, TIME_DECIMALS, FileFormat, write_recording
+from swarmtwin.recordings.exact_means import write_exact_means
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.writing import FileFormat, write_recording
 from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.standin.drive_commands import CommandMode
 from swarmtwin.standin.effects import parse_effects
-from swarmtwin.standin.operator import Manner
-from swarmtwin.standin.session import Footage, Session, film, require_stand_in
-from swarmtwin.standin.truth import answer_book, write_truth
+from swarmtwin.standin.session import StandInSession, require_stand_in
+from swarmtwin.studies.stand_in_recording import check_size, exact_means_of, read_drive, record
 from swarmtwin.transitions import Counts, from_recording
-
-SPARE_RUNS = 2
-MOST_ROWS = 20_000_000  # at some 1.4 kB of memory a row
+from swarmtwin.transitions.inputs import as_texts
 
 
 class Options(StrictModel):
@@ -36,7 +31,7 @@ class Options(StrictModel):
     transitions: Annotated[int, Field(ge=1)] | None
     seed: Annotated[int, Field(ge=0)]
     effects: tuple[Any, ...]
-    commands: Manner
+    commands: CommandMode
     drive: Path | None
     lost_poses: Annotated[float, Field(ge=0, lt=1)]
     format: FileFormat
@@ -55,12 +50,12 @@ def run(options: Options) -> None:
     with new_folder(options.output, "record", config, options.overwrite) as folder:
         footage, recording = record(session, options.transitions)
         write_recording(folder, options.robot, recording.header, recording.tracks, options.format)
-        write_truth(folder, _answers(footage, recording))
+        write_exact_means(folder, exact_means_of(footage, recording))
         _, counts = from_recording(recording)
     Console().print(_summary(options.output, recording, counts))
 
 
-def plan_session(options: Options) -> Session:
+def plan_session(options: Options) -> StandInSession:
     """Return the session that the options ask for.
 
     Raises:
@@ -75,124 +70,19 @@ def plan_session(options: Options) -> Session:
     runs = options.runs
     if options.transitions:
         runs = -(-options.transitions // options.steps)
-    _check_size(runs, options.steps, len(options.vehicle))
-    return Session(
+    check_size(runs, options.steps, len(options.vehicle))
+    return StandInSession(
         robot=options.robot,
         vehicles=options.vehicle,
         runs=runs,
         steps=options.steps,
         seed=options.seed,
         effects=parse_effects(options.effects, options.robot, len(options.vehicle)),
-        manner=options.commands,
+        command_mode=options.commands,
         drive=None if options.drive is None else read_drive(options.drive, options.robot),
         lost_poses=options.lost_poses,
         planned_runs=runs,
     )
-
-
-def _check_size(runs: int, steps: int, vehicles: int) -> None:
-    """Refuse what no memory holds, before anything is driven."""
-    rows = runs * (steps + 1) * vehicles
-    if rows > MOST_ROWS:
-        raise UserError(
-            f"a recording of {rows:,} rows ({runs:,} runs of {steps:,} steps, vehicles: {vehicles}) is too long: "
-            f"stay below {MOST_ROWS:,} rows, with several recordings if need be"
-        )
-
-
-def read_drive(path: Path, robot: Robot) -> np.ndarray:
-    """Read commands (N, m) from a CSV file with the robot's command columns; further columns are left alone.
-
-    Raises:
-        UserError: the file is missing, lacks a column, or holds something that is no command of this robot.
-    """
-    try:
-        table = pd.read_csv(path)
-    except FileNotFoundError:
-        raise UserError(f"drive {path} is missing: name a CSV file with {', '.join(robot.command_columns)}") from None
-    except OSError as error:
-        raise UserError(f"drive {path} cannot be read ({error.strerror}): name a CSV file") from None
-    except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
-        raise UserError(f"drive {path} is no CSV file: {error}") from None
-    for column, limits in robot.command.items():
-        if column not in table:
-            raise UserError(f"drive {path}: column {column!r} is missing: {near_miss(column, table.columns)}")
-        values = pd.to_numeric(table[column], errors="coerce")
-        if len(bad := np.flatnonzero(~values.between(limits.low, limits.high))):
-            raise UserError(
-                f"drive {path}, row {bad[0] + 2}: {column} is {table[column].iloc[bad[0]]!s}: "
-                f"write a number from {limits.low:g} to {limits.high:g} {limits.unit}"
-            )
-    if table.empty:
-        raise UserError(f"drive {path} holds no command: write one a row")
-    return table[list(robot.command_columns)].to_numpy(float)
-
-
-def record(session: Session, transitions: int | None = None) -> tuple[Footage, Recording]:
-    """Film a session; with `transitions`, as many runs as it takes until so many are usable, the last one cut there.
-
-    Raises:
-        UserError: so few are usable that the recording would be too long.
-    """
-    if transitions is None:
-        footage = film(session)
-        return footage, _recording(footage)
-    session = replace(session, runs=session.runs + SPARE_RUNS + session.runs // 100)
-    while True:
-        footage = film(session)
-        recording = _recording(footage)
-        usable, counts = from_recording(recording)
-        if counts.kept >= transitions:
-            last = transitions - 1
-            return _cut(footage, recording, int(usable.run[last]), float(usable.time_s[last]))
-        missing = transitions - counts.kept
-        session = replace(session, runs=session.runs + missing // session.steps + SPARE_RUNS)
-        _check_size(session.runs, session.steps, len(session.vehicles))
-
-
-def _recording(footage: Footage) -> Recording:
-    """Return what the camera and the link saw, as finely as a recording holds it."""
-    session = footage.session
-    header = Header(
-        robot=session.robot.name,
-        period_s=session.robot.period_s,
-        arena_mm=session.robot.arena_mm,
-        source=f"stand-in {session.robot.name}",
-        vehicles=session.vehicles,
-    )
-    decimals = (POSITION_DECIMALS, POSITION_DECIMALS, HEADING_DECIMALS)
-    pose = np.stack([footage.pose[..., axis].round(places) for axis, places in enumerate(decimals)], axis=-1)
-    time_s = footage.time_s.round(TIME_DECIMALS)
-    none = np.full((*footage.command.shape[:1], 1, *footage.command.shape[2:]), np.nan)
-    command = np.concatenate([footage.command, none], axis=1)
-    tracks = tuple(
-        Track(_run_name(run), vehicle, time_s[run], command[run, :, index], pose[run, :, index])
-        for run in range(len(time_s))
-        for index, vehicle in enumerate(session.vehicles)
-    )
-    return Recording(session.robot, header, tracks)
-
-
-def _run_name(run: int) -> str:
-    return f"run_{run + 1:04d}"
-
-
-def _cut(footage: Footage, recording: Recording, last_run: int, last_start_s: float) -> tuple[Footage, Recording]:
-    """End the recording of one vehicle with the transition of run `last_run` that starts at `last_start_s`."""
-    whole = recording.tracks[last_run]
-    rows = int(np.searchsorted(whole.time_s, last_start_s)) + 2
-    command = whole.command[:rows].copy()
-    command[-1] = np.nan
-    last = Track(whole.run, whole.vehicle, whole.time_s[:rows], command, whole.pose[:rows])
-    return footage.first_runs(last_run + 1), replace(recording, tracks=(*recording.tracks[:last_run], last))
-
-
-def _answers(footage: Footage, recording: Recording) -> pd.DataFrame:
-    """Return the answer book of the rows that the recording holds, at the times it holds."""
-    table = answer_book(footage, recording.runs)
-    table["time_s"] = table["time_s"].round(TIME_DECIMALS)
-    last = recording.tracks[-1]
-    return table[(table["run"] != last.run) | (table["time_s"] < last.time_s[-1])]
 
 
 def _summary(output: Path, recording: Recording, counts: Counts) -> Table:

@@ -11,22 +11,28 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin import registry
-from swarmtwin.commands.rolling_out import in_simulation, on_stand_ins, other_vehicles, simulation_of
-from swarmtwin.commands.sources import Vehicles
 from swarmtwin.files import check_output, new_folder, write_text
-from swarmtwin.policies.figures import NAMES
-from swarmtwin.policies.scenes import draw_scenes
-from swarmtwin.policies.store import StoredPolicy, load_policy
-from swarmtwin.policies.transfer import Difference, check_count, metrics_of, rollout_table, tracked_figures
+from swarmtwin.learning.trainer import Device, torch_device
+from swarmtwin.policies.policy_folder import StoredPolicy, load_policy
+from swarmtwin.policies.reward_plots import NAMES
+from swarmtwin.policies.rollout_comparison import (
+    Difference,
+    check_count,
+    draw_scenarios,
+    metrics_of,
+    rollout_table,
+    tracked_figures,
+)
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
-from swarmtwin.tracking import tracked_run
-from swarmtwin.world.figures import paths_figure
-from swarmtwin.world.film import frames, write_film
-from swarmtwin.world.rollout import Rollout, figures_of
+from swarmtwin.studies.rollout_runner import in_simulation, on_stand_ins, other_vehicles, simulation_of
+from swarmtwin.tracking import registry
+from swarmtwin.tracking.runs import tracked_run
+from swarmtwin.transitions.inputs import Vehicles
+from swarmtwin.world.rendering.paths import paths_figure
+from swarmtwin.world.rendering.video import pictures, write_video
+from swarmtwin.world.rollout import Rollout, Show, chosen_world, figures_of
 
 MotionName = Literal["simulation", "stand_in"]
-Show = Literal["typical", "best", "worst"]
 
 
 class ModelFolder(StrictModel):
@@ -46,6 +52,8 @@ class Options(StrictModel):
     count: Annotated[int, Field(ge=1)]
     seed: Seed
     effects: tuple[Any, ...]
+    sampled: bool | None
+    device: Device
     show: Show
     video: bool
     speed: Positive
@@ -85,15 +93,16 @@ def run(options: Options) -> None:
 
 def _rollouts(options: Options, policy: StoredPolicy) -> dict[str, Rollout]:
     task = policy.build_task()
-    scene = draw_scenes(task, options.count, "rollout", options.seed)
+    scenario = draw_scenarios(task, options.count, "rollout", options.seed)
     rollouts: dict[str, Rollout] = {}
     for motion in options.on:
         if motion == "simulation":
-            dynamics, _ = simulation_of(policy, options.simulation, options.robot)
-            rollouts[motion] = in_simulation(policy, dynamics, scene)
+            simulation, _ = simulation_of(policy, options.simulation, options.robot)
+            simulation.to(torch_device(options.device))
+            rollouts[motion] = in_simulation(policy, simulation, scenario, options.sampled, options.seed)
         else:
             vehicles = other_vehicles(options.vehicles, task)
-            rollouts[motion] = on_stand_ins(policy, vehicles, scene, options.seed, options.effects)
+            rollouts[motion] = on_stand_ins(policy, vehicles, scenario, options.seed, options.effects)
     return rollouts
 
 
@@ -102,15 +111,7 @@ def _draw(folder: Path, options: Options, rollouts: dict[str, Rollout]) -> None:
     titled = {NAMES[motion]: rollout for motion, rollout in rollouts.items()}
     paths_figure(titled, shown).savefig(folder / "rollouts.png")
     if options.video:
-        write_film(folder / "rollout.mp4", frames(titled, shown, options.speed))
-
-
-def chosen_world(rollout: Rollout, show: Show) -> int:
-    """Return which roll-out to show: of median reward, or the best or worst, where failing is worse than any reward."""
-    if show == "typical":
-        return int(np.argsort(rollout.mean_reward, kind="stable")[len(rollout) // 2])
-    order = np.lexsort((rollout.mean_reward, rollout.success))
-    return int(order[0 if show == "worst" else -1])
+        write_video(folder / "rollout.mp4", pictures(titled, shown, options.speed))
 
 
 def table(name: str, rollouts: dict[str, Rollout], metrics: dict[str, Any]) -> Table:

@@ -5,17 +5,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
-from swarmtwin.dynamics.base import Dynamics
-from swarmtwin.dynamics.neighbours import NeighbourRegression
-from swarmtwin.dynamics.situation import Situation
+from swarmtwin.dynamics.predictor import OneStepModel
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import orientation_error_rad, position_error_mm
+from swarmtwin.learning.ensemble import folds_of
+from swarmtwin.learning.nearest_neighbours import NeighbourRegression
+from swarmtwin.learning.situation import Situation
 from swarmtwin.transitions import Transitions
-
-FOLDS = 5
-NEIGHBOURS = (20, 40, 80, 160, 320)
 
 
 class ErrorFigure(NamedTuple):
@@ -61,27 +58,12 @@ class ErrorFigure(NamedTuple):
         return cls(*position, *orientation, int(weights.sum()))
 
 
-class FloorEstimate(NamedTuple):
-    """What the best model could err, estimated from data alone by nearest neighbours.
-
-    Neighbours miss some of what can be learned, so the estimate is too high, the more so the more inputs and the fewer
-    data there are: a good network may come out below it.
-    """
-
-    error: ErrorFigure
-    neighbours: int
+def predict(dynamics: OneStepModel, transitions: Transitions) -> np.ndarray:
+    """Predict the displacements (N, 3) of measured situations, in the order of the transitions."""
+    return dynamics.predict(Situation.from_transitions(transitions, dynamics.inputs)).numpy().astype(float)
 
 
-def predict(dynamics: Dynamics, transitions: Transitions) -> np.ndarray:
-    """Predict the displacements (N, 3) of measured situations, in batches, without gradients."""
-    situation = Situation.from_transitions(transitions, dynamics.parts)
-    with torch.inference_mode():
-        slices = [slice(start, start + 8192) for start in range(0, len(situation), 8192)]
-        batches = [dynamics(situation[rows]).numpy() for rows in slices]
-    return np.concatenate(batches).astype(float) if batches else np.empty((0, 3))
-
-
-def one_step(dynamics: Dynamics, transitions: Transitions) -> ErrorFigure:
+def one_step(dynamics: OneStepModel, transitions: Transitions) -> ErrorFigure:
     """Compare predictions with what was measured."""
     return ErrorFigure.between(predict(dynamics, transitions), transitions.displacement)
 
@@ -95,48 +77,55 @@ def floor(exact_mean: np.ndarray, transitions: Transitions) -> ErrorFigure:
     return ErrorFigure.between(exact_mean, transitions.displacement)
 
 
-def model_error(dynamics: Dynamics, transitions: Transitions, exact_mean: np.ndarray) -> ErrorFigure:
+def model_error(dynamics: OneStepModel, transitions: Transitions, exact_mean: np.ndarray) -> ErrorFigure:
     """Compare predictions with the exact mean displacements (N, 3) of a stand-in: the noise is left out."""
     return ErrorFigure.between(predict(dynamics, transitions), exact_mean)
 
 
-def neighbour_floor(dynamics: Dynamics, transitions: Transitions, scored: np.ndarray | None = None) -> FloorEstimate:
-    """Estimate the floor of models that are given the same inputs as `dynamics`, from these transitions alone.
+def neighbour_prediction(
+    inputs: np.ndarray,
+    transitions: Transitions,
+    scored: np.ndarray,
+    folds: int = 5,
+    counts: Sequence[int] = (20, 40, 80, 160, 320),
+) -> tuple[np.ndarray, int]:
+    """Predict each transition from its nearest neighbours in the other folds, whole runs in a fold.
 
-    Each transition is predicted from its nearest neighbours in the other folds, whole runs in a fold; the number of
-    neighbours is the one that predicts best.
+    What is left is an estimate, from data alone, of the least that a model with these inputs could err. Neighbours miss
+    some of what can be learned, so it is too high, the more so the more inputs and the fewer data there are: a good
+    network may come out below it.
 
     Args:
-        dynamics: says what the inputs are; its weights do not matter.
+        inputs: (N, columns) what is known of each transition, without NaN.
         transitions: of one vehicle, all that there are.
-        scored: mask (N,) of those that count, such as the test split; None for all.
+        scored: mask (N,) of those that are asked for.
+        folds: how many; with fewer runs they are blocks in time.
+        counts: the numbers of neighbours to try.
+
+    Returns:
+        displacements (N, 3), NaN where they are not asked for, and the number of neighbours, which predicts best.
 
     Raises:
-        UserError: there are too few, or none that count.
+        UserError: there are too few, or none that are asked for.
     """
-    with torch.inference_mode():
-        inputs = dynamics.encoding(Situation.from_transitions(transitions, dynamics.parts)).numpy().astype(float)
-    scored = np.ones(len(transitions), bool) if scored is None else scored
     measured = transitions.displacement
-    fold = _folds(transitions.run, inputs.shape[1])
-    figures = {
-        count: ErrorFigure.between(_cross_predicted(inputs, measured, fold, scored, count)[scored], measured[scored])
-        for count in NEIGHBOURS
+    fold = _folds(transitions.run, inputs.shape[1], folds)
+    predicted = {count: _cross_predicted(inputs, measured, fold, scored, count) for count in counts}
+    errors_mm = {
+        count: ErrorFigure.between(mean[scored], measured[scored]).position_mm for count, mean in predicted.items()
     }
-    best = min(figures, key=lambda count: figures[count].position_mm)
-    return FloorEstimate(figures[best], best)
+    best = min(errors_mm, key=lambda count: errors_mm[count])
+    return predicted[best], best
 
 
-def _folds(run: np.ndarray, columns: int) -> np.ndarray:
-    """Give each transition (N,) a fold: whole runs in turn, or blocks in time where there are fewer runs than folds."""
-    needed = math.ceil((columns + 1) * FOLDS / (FOLDS - 1))  # so that the other folds define a plane over the inputs
+def _folds(run: np.ndarray, columns: int, count: int) -> np.ndarray:
+    needed = math.ceil((columns + 1) * count / (count - 1))  # so that the other folds define a plane over the inputs
     if len(run) < needed:
         raise UserError(
             f"the floor cannot be estimated from {len(run)} transitions of a vehicle: "
             f"{columns} inputs need at least {needed}; record more runs"
         )
-    runs, rank = np.unique(run, return_inverse=True)
-    return rank % FOLDS if len(runs) >= FOLDS else np.arange(len(run)) * FOLDS // len(run)
+    return folds_of(run, count, split_runs=True)
 
 
 def _cross_predicted(

@@ -6,7 +6,9 @@ from typing import Annotated, ClassVar
 from pydantic import Field, field_validator
 from torch import nn
 
-from swarmtwin.dynamics.scaling import ScalingMethod
+from swarmtwin.dynamics import models
+from swarmtwin.learning.encoding import Encoding, ScalingMethod
+from swarmtwin.plugins import PluginRegistry
 from swarmtwin.robot import Positive, Robot, SituationPart, StrictModel
 
 Steps = Annotated[int, Field(ge=1)]
@@ -24,6 +26,8 @@ class ModelConfig(StrictModel):
         learning_rate: its own largest learning rate, for recipes that leave it open.
         steps: its own number of optimiser steps, likewise, rounded up to whole epochs.
         situation: the parts it is given; null: those the robot's file names.
+        wall_reaches: where it is given the pose, how far the arena's walls are looked for beside it, in shorter sides
+            of the arena (`learning.encoding`); none, as in the paper, for the pose alone.
         scaling: how its inputs and outputs are scaled.
     """
 
@@ -33,6 +37,7 @@ class ModelConfig(StrictModel):
     learning_rate: Positive
     steps: Steps
     situation: tuple[SituationPart, ...] | None = None
+    wall_reaches: tuple[Positive, ...] = ()
 
     @field_validator("situation")
     @classmethod
@@ -41,9 +46,13 @@ class ModelConfig(StrictModel):
             raise ValueError("situation must contain 'command', or be null for that of the robot's file")
         return situation
 
-    def parts(self, robot: Robot) -> tuple[SituationPart, ...]:
+    def inputs(self, robot: Robot) -> tuple[SituationPart, ...]:
         """Return the parts of a situation that the model looks at."""
         return self.situation or robot.situation
+
+    def encoding(self, robot: Robot) -> Encoding:
+        """Return what turns situations into the network's inputs."""
+        return Encoding.for_network(robot, self.inputs(robot), self.scaling, self.wall_reaches)
 
     @abstractmethod
     def build(self, robot: Robot, inputs: int) -> nn.Module:
@@ -52,3 +61,10 @@ class ModelConfig(StrictModel):
         Raises:
             UserError: the model does not fit this robot.
         """
+
+
+MODELS: PluginRegistry[ModelConfig] = PluginRegistry(models, "dynamics model", group="model")
+
+model_names = MODELS.names
+config_class = MODELS.plugin_class
+model_config = MODELS.config

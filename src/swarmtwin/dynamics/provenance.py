@@ -5,7 +5,7 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
-from swarmtwin.dynamics.store import DESCRIPTION, read_description
+from swarmtwin.dynamics.model_folder import DESCRIPTION, read_description
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import StrictModel

@@ -1,22 +1,157 @@
 """Trains several seeds of a dynamics model and keeps the best live one."""
 
+import hashlib
+import json
 import logging
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import torch
 
-from swarmtwin.dynamics.base import Dynamics
-from swarmtwin.dynamics.fitting import SeedResult
+from swarmtwin.dynamics.evaluation import predict
 from swarmtwin.dynamics.model_config import ModelConfig
-from swarmtwin.dynamics.progress import EpochReport
-from swarmtwin.dynamics.recipe import Recipe
-from swarmtwin.dynamics.seeds import Job, fit_all
+from swarmtwin.dynamics.motion_noise import MotionNoise
+from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.dynamics.training_module import Epoch, EpochHistory, EpochReport, TrainingModule
 from swarmtwin.errors import UserError
+from swarmtwin.learning.batches import OrderedBatches, ShuffledBatches, TensorSplits, tensor_splits
+from swarmtwin.learning.dead_outputs import dead_outputs
+from swarmtwin.learning.parallel import cores, run_side_by_side
+from swarmtwin.learning.recipe import Recipe
+from swarmtwin.learning.trainer import Device, reproducible, run_trainer, torch_device
 from swarmtwin.transitions import Transitions
 
 log = logging.getLogger(__name__)
+
+
+class SeedResult(NamedTuple):
+    """What came of one seed.
+
+    Attributes:
+        seed: the seed.
+        history: the errors after each epoch.
+        weights: those with the lowest validation loss, by name.
+        best: the number of their epoch, from 1.
+        validation_loss: their loss on the validation data.
+        dead: why the seed cannot be used; None for a live one.
+    """
+
+    seed: int
+    history: tuple[Epoch, ...]
+    weights: dict[str, np.ndarray]
+    best: int
+    validation_loss: float
+    dead: str | None
+
+
+class TrainingJob(NamedTuple):
+    """One seed to train, in this process or another.
+
+    Attributes:
+        transitions: measured or synthetic transitions with their splits.
+        config: which model.
+        recipe: how to train it; its learning rate and epochs are known.
+        seed: of initial weights, order and dropout.
+        checkpoint: a file, written after each epoch, from which an interrupted training is continued to the same
+            numbers bit for bit; None: neither written nor read.
+        device: where to train.
+    """
+
+    transitions: Transitions
+    config: ModelConfig
+    recipe: Recipe
+    seed: int
+    checkpoint: Path | None = None
+    device: Device = "auto"
+
+    @property
+    def epochs(self) -> int:
+        """How many passes over the training data there are."""
+        assert self.recipe.epochs is not None
+        return self.recipe.epochs
+
+    def run(self, report: EpochReport | None) -> SeedResult:
+        """Train, on one thread.
+
+        Raises:
+            UserError: too little data, values that are not finite, or no GPU where one is asked for.
+        """
+        data = self._data()
+        with reproducible(self.seed, self.device):
+            module, batches = self._prepared(data)
+            history = EpochHistory(self.seed, self._identity(data), batches, self.checkpoint, report)
+            resume_from = history.read_checkpoint()
+            if len(history.errors) < self.epochs and not history.diverged:
+                validation = OrderedBatches(*data.to(torch_device(self.device)).validation)
+                run_trainer(
+                    module,
+                    history,
+                    batches,
+                    validation,
+                    epochs=self.epochs,
+                    device=self.device,
+                    resume_from=resume_from,
+                )
+            dynamics = module.dynamics.cpu()
+            dynamics.load_state_dict(history.best_weights or dynamics.state_dict())
+            weights = {name: tensor.numpy().copy() for name, tensor in dynamics.state_dict().items()}
+            dead = _why_dead(dynamics.eval(), history, len(batches), data)
+        return SeedResult(self.seed, tuple(history.errors), weights, history.best_epoch, history.best_loss, dead)
+
+    def expected_s(self) -> float:
+        """Estimate how long `run` takes, from the second of two steps."""
+        data = self._data()
+        with reproducible(self.seed, self.device):
+            module, batches = self._prepared(data)
+            module.to(torch_device(self.device))
+            batch = next(iter(batches))
+            for _ in range(2):
+                start = time.perf_counter()
+                position_mm, orientation_rad = module.errors(batch)
+                (position_mm + orientation_rad).backward()
+                step_s = time.perf_counter() - start
+        return step_s * len(batches) * self.epochs
+
+    def _data(self) -> TensorSplits:
+        return tensor_splits(self.transitions, self.config.inputs(self.transitions.robot))
+
+    def _prepared(self, data: TensorSplits) -> tuple[TrainingModule, ShuffledBatches]:
+        dynamics = NetworkDynamics(data.robot, self.config)
+        dynamics.learn_scaling(*data.train, data.arena_mm)
+        on_device = data.to(torch_device(self.device))
+        batches = ShuffledBatches(*on_device.train, size=self.recipe.batch_size, seed=self.seed)
+        return TrainingModule(dynamics, self.recipe, self.epochs * len(batches)), batches
+
+    def _identity(self, data: TensorSplits) -> str:
+        settings = [part.model_dump(mode="json") for part in (self.config, self.recipe, data.robot)]
+        return hashlib.sha256(json.dumps([*settings, data.digest(), self.seed]).encode()).hexdigest()
+
+
+def _why_dead(dynamics: NetworkDynamics, history: EpochHistory, steps_an_epoch: int, data: TensorSplits) -> str | None:
+    if history.diverged:
+        return f"the errors were no longer finite in epoch {len(history.errors)}"
+    if len(history.errors) * steps_an_epoch < 100:  # a live network can still be as good as constant
+        return None
+    situation, displacement = data.validation
+    with torch.inference_mode():
+        inputs = dynamics.encoding(situation)
+    dead = dead_outputs(dynamics.predict(situation).numpy(), displacement.numpy(), inputs.numpy())
+    return f"constant output: {', '.join(dead)}" if dead else None
+
+
+def train_seeds(jobs: Sequence[TrainingJob], report: EpochReport | None, processes: int | None) -> list[SeedResult]:
+    """Train all jobs, `processes` at a time; None: as many as there are cores, or one where that is quicker."""
+    at_a_time = min(len(jobs), processes or cores())
+    if processes is None and at_a_time > 1:
+        saved_s = (len(jobs) - math.ceil(len(jobs) / at_a_time)) * jobs[0].expected_s()
+        if saved_s < 7:  # what new processes take to import everything; measured on two cores
+            at_a_time = 1
+    return run_side_by_side(jobs, report, at_a_time)
 
 
 @dataclass(frozen=True)
@@ -30,7 +165,7 @@ class Trained:
         results: one for each seed, in the order asked for.
     """
 
-    dynamics: Dynamics
+    dynamics: NetworkDynamics
     seed: int
     recipe: Recipe
     results: tuple[SeedResult, ...]
@@ -55,6 +190,7 @@ def train(
     report: EpochReport | None = None,
     processes: int | None = None,
     reserve: int = 0,
+    device: Device = "auto",
 ) -> Trained:
     """Train each seed on the training split; the best live one on the validation split is the model.
 
@@ -69,19 +205,23 @@ def train(
         report: called after each epoch of each seed.
         processes: seeds trained at a time; by default as many as there are cores, or one where that is quicker.
         reserve: how many further seeds may be tried in place of dead ones.
+        device: where to train.
 
     Raises:
-        UserError: too little data, values that are not finite, or every seed is dead.
+        UserError: too little data, values that are not finite, every seed is dead, or no GPU where one is asked for.
     """
-    recipe = recipe.for_model(config, len(transitions.part("train")))
+    recipe = recipe.completed(config.learning_rate, config.steps, len(transitions.part("train")))
     if checkpoints:
         checkpoints.mkdir(parents=True, exist_ok=True)
     results: list[SeedResult] = []
     waiting, spare = list(seeds), list(range(seeds[-1] + 1, seeds[-1] + 1 + reserve))
     while waiting:
         files = [checkpoints / f"seed-{seed}.ckpt" if checkpoints else None for seed in waiting]
-        jobs = [Job(transitions, config, recipe, seed, file) for seed, file in zip(waiting, files, strict=True)]
-        tried = fit_all(jobs, report, processes)
+        jobs = [
+            TrainingJob(transitions, config, recipe, seed, file, device)
+            for seed, file in zip(waiting, files, strict=True)
+        ]
+        tried = train_seeds(jobs, report, processes)
         results += tried
         dead = [result for result in tried if result.dead]
         for result in dead:
@@ -89,8 +229,15 @@ def train(
         waiting, spare = spare[: len(dead)], spare[len(dead) :]
     best = _best_live(config, results)
     weights = {name: torch.from_numpy(values) for name, values in best.weights.items()}
-    dynamics = Dynamics.with_weights(transitions.robot, config, weights)
+    dynamics = NetworkDynamics.with_weights(transitions.robot, config, weights)
+    dynamics.motion_noise = _motion_noise(dynamics, transitions)
     return Trained(dynamics, best.seed, recipe, tuple(results))
+
+
+def _motion_noise(dynamics: NetworkDynamics, transitions: Transitions) -> MotionNoise:
+    """Estimate the random part of motion and camera from the validation split, which the model was not fitted to."""
+    unseen = transitions.part("validation")
+    return MotionNoise.estimate(unseen, predict(dynamics, unseen))
 
 
 def _best_live(config: ModelConfig, results: Sequence[SeedResult]) -> SeedResult:

@@ -4,35 +4,40 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from torch import Tensor
 
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import wrap_angle
-from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Robot, SituationPart
+from swarmtwin.learning.situation import Situation
+from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot
 from swarmtwin.transitions import Transitions
-
-PRODUCED: tuple[SituationPart, ...] = ("command", "pose")
-MILLIMETRES_AND_RADIANS = ("mm", "mm", "rad")
 
 
 @dataclass(frozen=True)
 class Columns:
-    """The columns of a robot's rows: its command, its pose where its dynamics depend on it, and the displacement."""
+    """The columns of a robot's rows: its command, its pose where its dynamics depend on it, and the displacement.
+
+    Attributes:
+        robot: whose transitions they are.
+        arena_mm: where they were recorded, or are to be drawn for.
+    """
 
     robot: Robot
+    arena_mm: Arena
 
     @classmethod
-    def of(cls, robot: Robot) -> "Columns":
-        """Choose the columns for a robot.
+    def of(cls, robot: Robot, arena_mm: Arena | None = None) -> "Columns":
+        """Choose the columns for a robot in an arena; None: its usual one.
 
         Raises:
             UserError: its dynamics depend on what no generator produces.
         """
-        if missing := [part for part in robot.situation if part not in PRODUCED]:
+        if missing := [part for part in robot.situation if part not in ("command", "pose")]:
             raise UserError(
                 f"robot {robot.name!r}: its situation has {missing[0]}, and generators produce command and pose only: "
                 f"take it out of the situation in conf/robot/{robot.name}.yaml"
             )
-        return cls(robot)
+        return cls(robot, arena_mm or robot.arena_mm)
 
     @property
     def has_pose(self) -> bool:
@@ -43,8 +48,9 @@ class Columns:
     def units(self) -> dict[str, str]:
         """The columns' names in order, with their units."""
         command = {name: column.unit for name, column in self.robot.command.items()}
-        pose = dict(zip(POSE_COLUMNS, MILLIMETRES_AND_RADIANS, strict=True)) if self.has_pose else {}
-        return {**command, **pose, **dict(zip(DISPLACEMENT_COLUMNS, MILLIMETRES_AND_RADIANS, strict=True))}
+        units = ("mm", "mm", "rad")
+        pose = dict(zip(POSE_COLUMNS, units, strict=True)) if self.has_pose else {}
+        return {**command, **pose, **dict(zip(DISPLACEMENT_COLUMNS, units, strict=True))}
 
     @property
     def width(self) -> int:
@@ -72,7 +78,12 @@ class Columns:
         pose = rows[:, commands : commands + 3] if self.has_pose else np.full((len(rows), 3), np.nan)
         return Row(rows[:, :commands], pose, rows[:, -3:])
 
-    def spread_out(self, rows: np.ndarray) -> np.ndarray:
+    def situation(self, columns: Tensor) -> Situation:
+        """Return the situations whose columns (N, situation_width) are given."""
+        commands = len(self.robot.command)
+        return Situation(command=columns[:, :commands], pose=columns[:, commands:] if self.has_pose else None)
+
+    def euclidean(self, rows: np.ndarray) -> np.ndarray:
         """Return rows with each heading as cosine and sine, so that distances between rows mean something."""
         others = np.delete(rows, self.headings, axis=1)
         heading = rows[:, self.headings]
@@ -90,7 +101,7 @@ class Columns:
         good &= ((row.command >= robot.command_low) & (row.command <= robot.command_high)).all(axis=1)
         if not self.has_pose:
             return good
-        position, arena = row.pose[:, :2], robot.arena_mm
+        position, arena = row.pose[:, :2], self.arena_mm
         inside = (position >= arena.low_mm - margin_mm) & (position <= arena.high_mm + margin_mm)
         return good & inside.all(axis=1) & (wrap_angle(row.pose[:, 2]) == row.pose[:, 2])
 

@@ -1,13 +1,10 @@
-"""Conditional diffusion in few dimensions, along an angle from data to noise."""
+"""A diffusion model of few columns, given a condition: along an angle from data to noise."""
 
 import math
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
-
-ANGLE_COLUMNS = 4
-ALL_NOISE = math.pi / 2
 
 
 class Denoiser(nn.Module):
@@ -22,7 +19,7 @@ class Denoiser(nn.Module):
         super().__init__()
         self.columns = columns
         stack: list[nn.Module] = []
-        for pair in pairwise((columns + conditions + ANGLE_COLUMNS, width, width)):
+        for pair in pairwise((columns + conditions + 4, width, width)):
             stack += [nn.Linear(*pair), nn.SiLU()]
         self.network = nn.Sequential(*stack, nn.Linear(width, columns))
 
@@ -34,20 +31,20 @@ class Denoiser(nn.Module):
 
     def loss(self, values: Tensor, condition: Tensor) -> Tensor:
         """Return the mean squared error of the change of values (N, columns) at random angles."""
-        angle = ALL_NOISE * torch.rand(len(values), 1)
+        angle = math.pi / 2 * torch.rand(len(values), 1, device=values.device)
         noise = torch.randn_like(values)
         change = angle.cos() * noise - angle.sin() * values
         return (self(angle.cos() * values + angle.sin() * noise, angle, condition) - change).square().mean()
 
-    def sample(self, condition: Tensor, steps: int, source: torch.Generator) -> Tensor:
+    def sample(self, condition: Tensor, steps: int, rng: torch.Generator) -> Tensor:
         """Draw values (N, columns) for conditions (N, conditions): from noise to data by Heun's method."""
-        values = torch.randn(len(condition), self.columns, generator=source)
-        for angle, lower in pairwise(torch.linspace(ALL_NOISE, 0, steps + 1).tolist()):
+        values = torch.randn(len(condition), self.columns, generator=rng).to(condition.device)
+        for angle, lower in pairwise(torch.linspace(math.pi / 2, 0, steps + 1).tolist()):
             change = self._change(values, angle, condition)
             ahead = values + (lower - angle) * change
             values = values + (lower - angle) * (change + self._change(ahead, lower, condition)) / 2
         return values
 
     def _change(self, values: Tensor, angle: float, condition: Tensor) -> Tensor:
-        change: Tensor = self(values, torch.full((len(values), 1), angle), condition)
+        change: Tensor = self(values, torch.full((len(values), 1), angle, device=values.device), condition)
         return change

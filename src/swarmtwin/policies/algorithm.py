@@ -10,6 +10,8 @@ from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
+from swarmtwin.plugins import PluginRegistry
+from swarmtwin.policies import algorithms
 from swarmtwin.policies.policy import ACTIVATIONS, Activation, Architecture, Squashing, Widths
 from swarmtwin.robot import Positive, StrictModel
 
@@ -50,12 +52,12 @@ class AlgorithmConfig(StrictModel):
 
     @property
     def steps_at_a_time(self) -> int:
-        """Control periods between two updates: a stage of the training is a multiple of it."""
+        """Control periods between two updates: evaluations are a multiple of it apart."""
         return 1
 
     @abstractmethod
-    def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
-        """Return the untrained algorithm of stable-baselines3."""
+    def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
+        """Return the untrained algorithm of stable-baselines3, whose networks lie on a device of torch."""
 
     @abstractmethod
     def actor(self, algorithm: Any) -> nn.Module:
@@ -102,13 +104,13 @@ class OffPolicyConfig(AlgorithmConfig):
         policy = algorithm.policy
         return [network[-1] for critic in (policy.critic, policy.critic_target) for network in critic.q_networks]
 
-    def common(self, env: VecEnv, seed: int) -> dict[str, Any]:
+    def common(self, env: VecEnv, seed: int, device: str) -> dict[str, Any]:
         """Return the arguments that the algorithms of this kind share."""
         return {
             "policy": "MlpPolicy",
             "env": env,
             "seed": seed,
-            "device": "cpu",
+            "device": device,
             "learning_rate": self.learning_rate,
             "gamma": self.gamma,
             "batch_size": self.batch_size,
@@ -126,3 +128,10 @@ def gaussian(env: VecEnv, spread: float) -> NormalActionNoise:
     assert env.action_space.shape is not None
     mean = np.zeros(env.action_space.shape)
     return NormalActionNoise(mean, np.full_like(mean, spread))
+
+
+ALGORITHMS: PluginRegistry[AlgorithmConfig] = PluginRegistry(algorithms, "algorithm", group="policy")
+
+algorithm_names = ALGORITHMS.names
+config_class = ALGORITHMS.plugin_class
+algorithm_config = ALGORITHMS.config

@@ -1,7 +1,11 @@
 """Everything that a training continues from, in one file in which nothing executable can hide."""
 
 import io
+import json
 import logging
+import random
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,107 +14,122 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file
 
 from swarmtwin.files import whole_file
-from swarmtwin.policies.chances import read_chances, restore_chances
-from swarmtwin.world.motion import SimulatedMotion
-from swarmtwin.world.world import World
 
 log = logging.getLogger(__name__)
 
-REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
-State = dict[str, Any]
+Content = dict[str, Any]
+"""Plain values, tensors, and dictionaries of them: what `torch.load` reads without executing anything."""
 
 
-def write_checkpoint(path: Path, state: State) -> None:
-    """Write a state whole or not at all, replacing what `path` held."""
-    content = io.BytesIO()  # a full disk is an OSError to Python, and none to torch
-    torch.save(state, content)
+def write_checkpoint(path: Path, content: Content) -> None:
+    """Write a checkpoint whole or not at all, replacing what `path` held."""
+    written = io.BytesIO()  # a full disk is an OSError to Python, and none to torch
+    torch.save(content, written)
     with whole_file(path) as aside:
-        aside.write_bytes(content.getbuffer())
+        aside.write_bytes(written.getbuffer())
 
 
-def read_checkpoint(path: Path | None, identity: str, seed: int) -> State:
-    """Return a checkpoint's state; nothing if there is none, or if it is damaged or of another training."""
+def read_checkpoint(path: Path | None, identity: str, seed: int) -> Content:
+    """Return a checkpoint's content; nothing if there is none, or if it is damaged or of another training."""
     if path is None or not path.exists():
         return {}
     try:
-        state = cast(State, torch.load(path, weights_only=True))
+        content = cast(Content, torch.load(path, weights_only=True))
     except Exception as error:  # torch.load raises many kinds for a damaged file
         reason = str(error).splitlines()[0]
         log.warning("seed %d starts anew: checkpoint %s is damaged (%s)", seed, path, reason)
         return {}
-    if not isinstance(state, dict) or state.get("identity") != identity:
+    if not isinstance(content, dict) or content.get("identity") != identity:
         log.warning("seed %d starts anew: checkpoint %s is of another training", seed, path)
         return {}
-    return state
+    return content
 
 
-def algorithm_state(algorithm: BaseAlgorithm) -> State:
-    """Return what an algorithm continues from: networks, optimisers, memory, counters, chances, what it saw last."""
-    parameters = algorithm.get_parameters()
-    _, variables = algorithm._get_torch_save_params()
-    state = {
-        "parameters": parameters,
-        "variables": {name: getattr(algorithm, name).detach() for name in variables if _is_tensor(algorithm, name)},
-        "num_timesteps": algorithm.num_timesteps,
-        "updates": getattr(algorithm, "_n_updates", 0),
-        "last_observation": torch.from_numpy(np.array(algorithm._last_obs)),
-        "last_starts": torch.from_numpy(np.array(algorithm._last_episode_starts)),
-        "chances": read_chances(algorithm),
+def algorithm_state(algorithm: BaseAlgorithm) -> Content:
+    """Return what an algorithm continues from: networks and optimisers, counters, replay buffer, random numbers.
+
+    Networks and optimisers are saved by stable-baselines3 itself; all else that it would save, it would pickle.
+    """
+    networks = io.BytesIO()
+    algorithm.save(networks, exclude=list(vars(algorithm)))
+    state: Content = {
+        "networks": torch.frombuffer(bytearray(networks.getvalue()), dtype=torch.uint8),
+        "counters": {name: value for name, value in vars(algorithm).items() if type(value) in (bool, int, float)},
+        "random": _rng_state(algorithm),
     }
     if isinstance(algorithm, OffPolicyAlgorithm):
         assert algorithm.replay_buffer is not None
-        state["memory"] = _memory_state(algorithm.replay_buffer)
+        state["replay_buffer"] = _replay_buffer_state(algorithm.replay_buffer)
     return state
 
 
-def restore_algorithm(algorithm: BaseAlgorithm, state: State) -> None:
+def restore_algorithm(algorithm: BaseAlgorithm, state: Content) -> None:
     """Let an untrained algorithm of the same configuration continue from a state."""
-    algorithm.set_parameters(state["parameters"])
-    for name, value in state["variables"].items():
+    networks = io.BytesIO(state["networks"].numpy().tobytes())
+    _, parameters, variables = load_from_zip_file(networks, load_data=False, device=algorithm.device)
+    algorithm.set_parameters(parameters, device=algorithm.device)
+    for name, value in (variables or {}).items():
         getattr(algorithm, name).data.copy_(value)
-    algorithm.num_timesteps = state["num_timesteps"]
-    algorithm._n_updates = state["updates"]
-    algorithm._last_obs = state["last_observation"].numpy()
-    algorithm._last_episode_starts = state["last_starts"].numpy()
+    vars(algorithm).update(state["counters"])
     if isinstance(algorithm, OffPolicyAlgorithm):
         assert algorithm.replay_buffer is not None
-        _restore_memory(algorithm.replay_buffer, state["memory"])
-    restore_chances(algorithm, state["chances"])
+        _restore_replay_buffer(algorithm.replay_buffer, state["replay_buffer"])
+    _restore_rng(algorithm, state["random"])
 
 
-def world_state(world: World) -> State:
-    """Return what a simulated world continues from."""
-    motion = cast(SimulatedMotion, world.motion)
-    return {"world": _packed(world.state()), "motion": _packed(motion.state())}
-
-
-def restore_world(world: World, state: State) -> None:
-    """Let a simulated world of the same size continue from a state."""
-    cast(SimulatedMotion, world.motion).restore(_unpacked(state["motion"]))
-    world.restore(_unpacked(state["world"]))
-
-
-def _is_tensor(algorithm: BaseAlgorithm, name: str) -> bool:
-    return isinstance(getattr(algorithm, name, None), torch.Tensor)
-
-
-def _memory_state(memory: ReplayBuffer) -> State:
-    filled = memory.buffer_size if memory.full else memory.pos
-    arrays = {name: torch.from_numpy(getattr(memory, name)[:filled]) for name in REMEMBERED}
-    return {"position": memory.pos, "full": memory.full, **arrays}
-
-
-def _restore_memory(memory: ReplayBuffer, state: State) -> None:
-    memory.pos, memory.full = state["position"], state["full"]
-    for name in REMEMBERED:
-        getattr(memory, name)[: len(state[name])] = state[name].numpy()
-
-
-def _packed(arrays: dict[str, np.ndarray]) -> State:
+def pack(arrays: dict[str, np.ndarray]) -> Content:
+    """Return arrays of numbers or of one text as tensors and texts, for a checkpoint."""
     return {name: str(array) if array.dtype.kind == "U" else torch.from_numpy(array) for name, array in arrays.items()}
 
 
-def _unpacked(state: State) -> dict[str, np.ndarray]:
-    return {name: np.array(part) if isinstance(part, str) else part.numpy() for name, part in state.items()}
+def unpack(content: Content) -> dict[str, np.ndarray]:
+    """Return the arrays that were packed."""
+    return {name: np.array(part) if isinstance(part, str) else part.numpy() for name, part in content.items()}
+
+
+@contextmanager
+def global_rng_kept() -> Iterator[None]:
+    """Leave the global random states of Python, numpy and torch, which stable-baselines3 draws from, as they were."""
+    python_state, numpy_state = random.getstate(), np.random.get_state()  # noqa: NPY002 — what the library draws from
+    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
+        try:
+            yield
+        finally:
+            random.setstate(python_state)
+            np.random.set_state(numpy_state)  # noqa: NPY002
+
+
+def _rng_state(algorithm: BaseAlgorithm) -> Content:
+    """Return the states of all random numbers that an algorithm draws."""
+    return {
+        "torch": torch.get_rng_state(),
+        "cuda": torch.cuda.get_rng_state_all(),
+        "numpy": json.dumps(np.random.get_state(legacy=False), default=np.ndarray.tolist),  # noqa: NPY002
+        "actions": json.dumps(algorithm.action_space.np_random.bit_generator.state),
+    }
+
+
+def _restore_rng(algorithm: BaseAlgorithm, state: Content) -> None:
+    torch.set_rng_state(state["torch"])
+    torch.cuda.set_rng_state_all(state["cuda"])
+    np.random.set_state(json.loads(state["numpy"]))  # noqa: NPY002
+    algorithm.action_space.np_random.bit_generator.state = json.loads(state["actions"])
+
+
+def _replay_buffer_state(memory: ReplayBuffer) -> Content:
+    arrays = {name: array for name, array in vars(memory).items() if isinstance(array, np.ndarray)}
+    filled = memory.buffer_size if memory.full else memory.pos
+    return {
+        "position": memory.pos,
+        "full": memory.full,
+        "arrays": {name: torch.from_numpy(array[:filled]) for name, array in arrays.items()},
+    }
+
+
+def _restore_replay_buffer(memory: ReplayBuffer, state: Content) -> None:
+    memory.pos, memory.full = state["position"], state["full"]
+    for name, array in state["arrays"].items():
+        getattr(memory, name)[: len(array)] = array.numpy()

@@ -1,4 +1,4 @@
-"""A policy: what one vehicle sees goes in, its command comes out."""
+"""A policy: what one vehicle observes goes in, its command comes out."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -34,7 +34,7 @@ class Architecture(StrictModel):
 
 
 class Policy(nn.Module):
-    """A deterministic policy of one robot, shared by all vehicles; each decides by what it sees itself (section 4.5).
+    """A deterministic policy of one robot, shared by all vehicles; each decides by its own observation (section 4.5).
 
     It owns the command's limits, so that a saved policy needs nothing beside it.
 
@@ -83,8 +83,8 @@ class Policy(nn.Module):
             "command_high": torch.as_tensor(robot.command_high, dtype=torch.float32),
         }
         for index, layer in enumerate(layers):
-            weights[f"network.{2 * index}.weight"] = layer.weight.detach().clone()
-            weights[f"network.{2 * index}.bias"] = layer.bias.detach().clone()
+            weights[f"network.{2 * index}.weight"] = layer.weight.detach().cpu().clone()
+            weights[f"network.{2 * index}.bias"] = layer.bias.detach().cpu().clone()
         return cls.with_weights(robot, observation_names, architecture, weights)
 
     def forward(self, observation: Tensor) -> Tensor:
@@ -95,7 +95,7 @@ class Policy(nn.Module):
         return torch.minimum(torch.maximum(command, self.command_low), self.command_high)
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """Return commands (W, K, m) for what W · K vehicles see, (W, K, o).
+        """Return commands (W, K, m) for the observations (W, K, o) of W · K vehicles.
 
         Raises:
             UserError: a command is not finite.

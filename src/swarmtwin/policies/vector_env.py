@@ -21,6 +21,9 @@ class DivergedError(Exception):
 class SharedPolicyEnv(VecEnv):
     """W · K sub-environments; actions are shares −1…1 of the command's limits.
 
+    Worlds start their next roll-out by themselves, so `begin` is called once, before training; the `reset` of
+    stable-baselines3 only looks, and an interrupted training goes on where it was.
+
     Attributes:
         world: where the vehicles are.
         reward_scale: what rewards are divided by.
@@ -35,11 +38,14 @@ class SharedPolicyEnv(VecEnv):
         self._low, self._high = world.robot.command_low, world.robot.command_high
         self._action = np.zeros((self.num_envs, columns))
 
-    def reset(self) -> np.ndarray:
+    def begin(self) -> None:
         """Start all worlds, each as if another share of its time had passed, so that they do not all end at once."""
-        observation = self.world.reset()
+        self.world.reset()
         self.world.step_count[:] = np.arange(self.world.worlds) * self.world.task.steps // self.world.worlds
-        return self._flat(observation)
+
+    def reset(self) -> np.ndarray:
+        """Return what the vehicles observe now, (W · K, o); `begin` is what starts the worlds."""
+        return self._flat(self.world.observe())
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the vehicles' actions (W · K, m).

@@ -13,8 +13,7 @@ from typing import Any
 import yaml
 
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.faults import fault
-from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.recordings.recording import Header, Recording, Track, fault
 from swarmtwin.recordings.tables import parse_run
 from swarmtwin.recordings.tracks import tracks_of
 from swarmtwin.robot import Robot
@@ -27,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 
 def read_recording(folder: Path, robot: Robot) -> Recording:
-    """Read the recording of `robot` in `folder` (DESIGN section 3). Nothing in it is modified.
+    """Read the recording of `robot` in `folder`. Nothing in it is modified.
 
     Faults of single rows are counted in `Recording.dropped_rows` and logged in one line.
 

@@ -3,9 +3,11 @@
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from swarmtwin.errors import UserError
 from swarmtwin.robot import Arena, Robot, StrictModel
 
 
@@ -91,3 +93,13 @@ class Recording:
     def where(self, chosen: Callable[[Track], bool]) -> "Recording":
         """Return the part of the recording whose tracks are `chosen`; its digest stays that of the whole."""
         return replace(self, tracks=tuple(track for track in self.tracks if chosen(track)))
+
+
+def fault(file: Path, what: str, remedy: str, row: int | None = None, column: str | None = None) -> UserError:
+    """Return the error for one fault. `row` counts from 1 as an editor shows it: a CSV file's header is row 1."""
+    where = str(file)
+    if row is not None:
+        where += f", row {row}"
+    if column is not None:
+        where += f", column {column!r}"
+    return UserError(f"{where}: {what}: {remedy}")

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swarmtwin.geometry import wrap_angle
-from swarmtwin.recordings.faults import fault
-from swarmtwin.recordings.recording import Track
+from swarmtwin.recordings.recording import Track, fault
 from swarmtwin.recordings.tables import RunTable
 
 # Why a row is set aside, or part of it made empty, while reading.

@@ -11,9 +11,9 @@ import pyarrow.parquet
 import yaml
 
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.columns import run_columns
 from swarmtwin.recordings.reading import HEADER_FILE, RUNS_FOLDER
 from swarmtwin.recordings.recording import Header, Track
+from swarmtwin.recordings.tables import run_columns
 from swarmtwin.robot import Robot
 
 FileFormat = Literal["csv", "parquet"]

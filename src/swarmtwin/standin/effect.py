@@ -1,7 +1,8 @@
 """What an effect is: a typed piece of configuration that changes the stand-in's physics at one physical place.
 
-An effect overrides the hook of its place and leaves the others alone; `conditions.py` combines the hooks of all effects
-that are switched on. An effect outside the catalogue is any other subclass, handed to a `Session` as an object.
+An effect overrides the hook of its place and leaves the others alone; `active_effects.py` combines the hooks of all
+effects that are switched on. An effect outside the catalogue is any other subclass, handed to a `StandInSession` as an
+object.
 
 Arrays are laid out with their components first: a command is (m, ...), a scalar quantity (...), where ... is always
 two axes: (runs, vehicles) while driving, (rows, draws) while averaging.
@@ -19,7 +20,7 @@ Rng = np.random.Generator
 
 
 @dataclass(frozen=True)
-class Moment:
+class Placement:
     """Where and when the vehicles are; every array broadcasts to (...).
 
     Attributes:
@@ -40,7 +41,7 @@ class Moment:
 
 
 class Effect(StrictModel):
-    """Something a stand-in can be told to do that the simulation does not know (DESIGN section 8).
+    """Something a stand-in can be told to do that the simulation does not know.
 
     Attributes:
         ages: true if what it does changes as the session goes on.
@@ -56,7 +57,7 @@ class Effect(StrictModel):
         """
         return self
 
-    def lateness_s(self) -> float:
+    def command_delay_s(self) -> float:
         """Link: how late each command arrives."""
         return 0.0
 
@@ -64,11 +65,11 @@ class Effect(StrictModel):
         """Link: how probably a command never arrives, so that the previous one goes on."""
         return 0.0
 
-    def received(self, command: np.ndarray, robot: Robot) -> np.ndarray:
+    def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Actuator: what the electronics make of a command (m, ...)."""
         return command
 
-    def strength(self, moment: Moment) -> Any:
+    def strength(self, placement: Placement) -> Any:
         """Actuator: factor on the speed of wheel or fin, broadcasting to (actuators, ...)."""
         return 1.0
 
@@ -76,7 +77,7 @@ class Effect(StrictModel):
         """Actuator: what is added to its time constant."""
         return 0.0
 
-    def play(self) -> float:
+    def backlash(self) -> float:
         """Actuator: travel lost at each reversal, mm of a wheel's rim or rad of the fin."""
         return 0.0
 
@@ -84,11 +85,11 @@ class Effect(StrictModel):
         """Actuator: angle of the fin when it is told to be straight."""
         return 0.0
 
-    def grip(self, moment: Moment, arena: Arena) -> Any:
+    def traction(self, placement: Placement, arena: Arena) -> Any:
         """Ground or water: factor on how far the actuators bring the vehicle, broadcasting to (...)."""
         return 1.0
 
-    def carried_mm_s(self, moment: Moment) -> tuple[Any, Any]:
+    def drift_velocity_mm_s(self, placement: Placement) -> tuple[Any, Any]:
         """Ground, water, neighbours: velocity along x and y of the arena that is added to the vehicle's own."""
         return 0.0, 0.0
 
@@ -109,19 +110,21 @@ class Effect(StrictModel):
         return nominal
 
 
+def thrust_columns(robot: Robot) -> tuple[str, ...]:
+    """Return the command columns that say how hard the actuators work: of both wheels, or the fin's amplitude."""
+    return robot.actuation.effort or robot.command_columns
+
+
 def thrust_limit(robot: Robot) -> float:
-    """Return the largest command of the actuator that thrusts: PWM of a wheel, amplitude in degrees of the fin."""
-    column = robot.command["amplitude_deg"] if robot.kinematics == "tail_fin" else next(iter(robot.command.values()))
-    return column.high
+    """Return the largest command of an actuator that thrusts: PWM of a wheel, amplitude in degrees of the fin."""
+    return robot.command[thrust_columns(robot)[0]].high
 
 
 def change_thrust(command: np.ndarray, robot: Robot, change: Any) -> np.ndarray:
     """Apply `change` to the thrusting part of commands (m, ...): both wheels, or the fin's amplitude alone."""
-    if robot.kinematics != "tail_fin":
-        return change(command)
     changed = command.copy()
-    row = robot.command_columns.index("amplitude_deg")
-    changed[row] = change(command[row])
+    rows = [robot.command_columns.index(column) for column in thrust_columns(robot)]
+    changed[rows] = change(command[rows])
     return changed
 
 
@@ -131,9 +134,10 @@ def only_for(effect: str, robot: Robot, wheels: tuple[str, float | None], fin: t
     Raises:
         UserError: the parameter that `robot` has no use for was given.
     """
-    wanted, unwanted = (fin, wheels) if robot.kinematics == "tail_fin" else (wheels, fin)
+    has_fin = robot.actuation.kind == "thrust"
+    wanted, unwanted = (fin, wheels) if has_fin else (wheels, fin)
     if unwanted[1] is not None:
-        actuator = "a tail fin" if robot.kinematics == "tail_fin" else "wheels"
+        actuator = "a tail fin" if has_fin else "wheels"
         raise UserError(
             f"effect {effect!r}: {unwanted[0]} means nothing to {robot.name!r}, which has {actuator}: give {wanted[0]}"
         )

@@ -8,12 +8,12 @@ from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.physics import Period, advance
-from swarmtwin.standin.session import NOISE_TYPE, Session, photograph, require_stand_in
+from swarmtwin.standin.session import StandInSession, measured_poses, require_stand_in
 from swarmtwin.standin.streams import Streams
 
 
 class LiveVehicles:
-    """W groups of the same V vehicles, moved by the physics that `record` films and seen by its camera, every marker.
+    """W groups of the same V vehicles, moved by the physics that `record` drives and seen by its camera, every marker.
 
     Each group has its own chances and its own session, which begins when its vehicles are placed.
 
@@ -48,7 +48,7 @@ class LiveVehicles:
             raise UserError(f"vehicle {twice[0]!r} is named twice: give each id once")
         self.robot = robot
         self._planned_s = planned_steps * robot.period_s
-        self._session = Session(robot, tuple(vehicles), groups, planned_steps, seed, effects)
+        self._session = StandInSession(robot, tuple(vehicles), groups, planned_steps, seed, effects)
         self._physics = self._session.physics(vehicles)
         self._streams = Streams(seed)
         self._state = self._physics.at_rest(np.zeros((3, groups, len(vehicles))))
@@ -81,7 +81,7 @@ class LiveVehicles:
         duration_s = conditions.durations(nominal_s, self._streams.of("clock"))
         progress = np.minimum(self._elapsed_s / self._planned_s, 1.0)[:, None]
         noise_shape = (groups, physics.substeps, physics.noises, vehicles)
-        noise = self._streams.of("motion").standard_normal(noise_shape, NOISE_TYPE)
+        noise = self._streams.of("motion").standard_normal(noise_shape, np.float32)
         period = Period(arriving, self._active, duration_s, progress)
         self._state = advance(physics, self._state, period, noise.transpose(1, 2, 0, 3))
         self._active = arriving
@@ -90,4 +90,4 @@ class LiveVehicles:
 
     def _measured(self, worlds: np.ndarray) -> np.ndarray:
         true = np.moveaxis(self._state[:3, worlds], 0, -1)
-        return photograph(self._session, self._physics, true, self._streams)
+        return measured_poses(self._session, self._physics, true, self._streams)

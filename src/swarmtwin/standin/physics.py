@@ -1,13 +1,17 @@
 """What a stand-in's physics provides, and how it is advanced over one control period."""
 
+import zlib
 from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from swarmtwin.standin.conditions import Conditions
-from swarmtwin.standin.effect import Moment
+from swarmtwin.plugins import PluginRegistry
+from swarmtwin.standin import robots
+from swarmtwin.standin.active_effects import ActiveEffects
+from swarmtwin.standin.effect import Placement
 
 POSE = slice(0, 3)
 
@@ -15,7 +19,7 @@ POSE = slice(0, 3)
 class Surroundings(NamedTuple):
     """What ground, water and neighbours do to the vehicles in one time step; each broadcasts to (...)."""
 
-    grip: Any
+    traction: Any
     carried_x_mm_s: Any
     carried_y_mm_s: Any
 
@@ -27,6 +31,7 @@ class Physics(ABC):
     """A robot's motion. A state is (states, ...), its first three the true pose: x_mm, y_mm, heading_rad (not wrapped).
 
     Attributes:
+        command_columns: of the commands that it takes, in order.
         states: names of the states.
         substeps: time steps in a control period.
         noises: independent random numbers that a time step needs.
@@ -35,8 +40,11 @@ class Physics(ABC):
         resting_command: the command of a vehicle that was just switched on.
         memory_of_place: whether the hidden states depend on the pose.
         latent_draws: hidden states to average over for an expectation, a power of two.
+        noise_draws: motions to average over where the state is known, even.
+        bank_rows: hidden states, at least, to draw from for an expectation.
     """
 
+    command_columns: ClassVar[tuple[str, ...]]
     states: ClassVar[tuple[str, ...]]
     substeps: ClassVar[int]
     noises: ClassVar[int]
@@ -45,9 +53,16 @@ class Physics(ABC):
     resting_command: ClassVar[tuple[float, ...]]
     memory_of_place: ClassVar[bool]
     latent_draws: ClassVar[int]
+    noise_draws: ClassVar[int] = 32
+    bank_rows: ClassVar[int] = 131_072
 
-    def __init__(self, conditions: Conditions) -> None:
+    def __init__(self, conditions: ActiveEffects) -> None:
         self.conditions = conditions
+
+    @classmethod
+    @abstractmethod
+    def of(cls, vehicles: Sequence[str], conditions: ActiveEffects, dtype: type = np.float64) -> Self:
+        """Return the physics of the units with these ids, under conditions; properties are of a floating `dtype`."""
 
     def at_rest(self, pose: np.ndarray) -> np.ndarray:
         """Return the states (states, ...) of vehicles standing at poses (3, ...)."""
@@ -57,11 +72,16 @@ class Physics(ABC):
 
     @abstractmethod
     def target(self, command: np.ndarray, strength: Any) -> np.ndarray:
-        """Return what a command (m, ...), as received, asks of the actuators; linear blends of it make sense."""
+        """Return what a command (m, ...), as the electronics take it, asks of the actuators; it may be blended."""
 
     @abstractmethod
     def step(
-        self, state: np.ndarray, target: np.ndarray, dt_s: Any, surroundings: Surroundings, noise: np.ndarray | None
+        self,
+        state: np.ndarray,
+        target: np.ndarray,
+        dt_s: Any,
+        surroundings: Surroundings,
+        noise: np.ndarray | None,
     ) -> np.ndarray:
         """Return the states after one time step; `noise` is (noises, ...) standard normal, or None for the mean."""
 
@@ -89,13 +109,13 @@ class Period:
     progress: Any
     others: np.ndarray | None = None
 
-    def moment(self, state: np.ndarray, elapsed: float) -> Moment:
+    def placement(self, state: np.ndarray, elapsed: float) -> Placement:
         """Return where and when the vehicles are when a share `elapsed` of the period has passed."""
         if self.others is None:
             x_mm, y_mm = others_in_run(state[0]), others_in_run(state[1])
         else:
             x_mm, y_mm = self.others[0] + elapsed * (self.others[1] - self.others[0])
-        return Moment(self.progress, state[0], state[1], state[2], x_mm, y_mm)
+        return Placement(self.progress, state[0], state[1], state[2], x_mm, y_mm)
 
 
 def others_in_run(values: np.ndarray) -> np.ndarray:
@@ -115,18 +135,18 @@ def advance(physics: Physics, state: np.ndarray, period: Period, noise: np.ndarr
     """
     conditions = physics.conditions
     dt_s = period.duration_s / physics.substeps
-    strength = conditions.strength(period.moment(state, 0.0))
-    target = new_target = physics.target(conditions.received(period.command), strength)
+    strength = conditions.strength(period.placement(state, 0.0))
+    target = new_target = physics.target(conditions.transform_command(period.command), strength)
     if conditions.delay_s:
-        old_target = physics.target(conditions.received(period.previous_command), strength)
+        old_target = physics.target(conditions.transform_command(period.previous_command), strength)
     surroundings = NOTHING_SPECIAL
     for index in range(physics.substeps):
         if conditions.delay_s:
             late_share = np.clip(conditions.delay_s / dt_s - index, 0.0, 1.0)
             target = new_target + late_share * (old_target - new_target)
         if conditions.are_local:
-            moment = period.moment(state, index / physics.substeps)
-            surroundings = Surroundings(conditions.grip(moment), *conditions.carried_mm_s(moment))
+            placement = period.placement(state, index / physics.substeps)
+            surroundings = Surroundings(conditions.traction(placement), *conditions.drift_velocity_mm_s(placement))
         state = physics.step(state, target, dt_s, surroundings, None if noise is None else noise[index])
     return state
 
@@ -135,3 +155,28 @@ def take_up(slack: np.ndarray, travel: np.ndarray, width: float) -> tuple[np.nda
     """Return the slack left in a gear of backlash `width`, and the part of `travel` that comes through."""
     taken = np.clip(slack + travel, 0.0, width)
     return taken, travel - (taken - slack)
+
+
+LARGEST_DEVIATION = 2.0
+
+
+def fabricate(robot: str, vehicles: Sequence[str], spreads: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Draw each property's relative factor for each vehicle.
+
+    Args:
+        robot: name of the robot.
+        vehicles: V ids.
+        spreads: relative standard deviation of each property; deviations end at two of them.
+
+    Returns:
+        for each property its factors (V,), 1 where the unit is as drawn.
+    """
+    factors = np.ones((len(spreads), len(vehicles)))
+    for index, vehicle in enumerate(vehicles):
+        rng = np.random.default_rng(zlib.crc32(f"{robot}/{vehicle}".encode()))
+        deviation = np.clip(rng.standard_normal(len(spreads)), -LARGEST_DEVIATION, LARGEST_DEVIATION)
+        factors[:, index] += deviation * np.fromiter(spreads.values(), float)
+    return dict(zip(spreads, factors, strict=True))
+
+
+STAND_INS: PluginRegistry[Physics] = PluginRegistry(robots, "stand-in", group="robot", ends_in="StandIn")

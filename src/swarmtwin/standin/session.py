@@ -1,4 +1,4 @@
-"""A session: runs of one or more stand-in vehicles, driven and filmed, with what only the stand-in knows of them."""
+"""A session: runs of one or more stand-in vehicles, driven and measured, with what only the stand-in knows of them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -8,26 +8,15 @@ import numpy as np
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import Robot
-from swarmtwin.standin.conditions import Conditions
+from swarmtwin.standin.active_effects import ActiveEffects
+from swarmtwin.standin.drive_commands import CommandMode, Operator
 from swarmtwin.standin.effect import Effect
-from swarmtwin.standin.mgr import Mgr, MgrUnit
-from swarmtwin.standin.mur import Mur, MurUnit
-from swarmtwin.standin.operator import Manner, Plan, steer
-from swarmtwin.standin.physics import Period, Physics, advance
+from swarmtwin.standin.physics import STAND_INS, Period, Physics, advance
 from swarmtwin.standin.streams import Streams
-
-STAND_INS = {
-    "mgr": ("left", "right"),
-    "mur": ("mean_angle_deg", "amplitude_deg", "frequency_rad_s"),
-}
-"""The robots that have a stand-in, each with the command columns that its physics takes."""
-
-PAUSE_S = 5.0
-NOISE_TYPE = np.float32
 
 
 @dataclass(frozen=True)
-class Session:
+class StandInSession:
     """What is to be recorded.
 
     Attributes:
@@ -37,11 +26,13 @@ class Session:
         steps: transitions T in a run.
         seed: all randomness comes from it, except the vehicles' fabrication, which comes from their ids.
         effects: what the stand-in is told to do.
-        manner: how the operator chooses commands.
+        command_mode: how the operator chooses commands.
         drive: (N, m) commands to play instead, or None.
         lost_poses: probability that the camera misses a marker.
         planned_runs: runs after which the session ends by plan (ageing counts on it); None means `runs`.
-        repeats: how many times over the whole session is filmed side by side, each with its own chances.
+        operator: how the operator drives.
+        pause_s: from the nominal end of a run to the beginning of the next.
+        repeats: how many times over the whole session is driven side by side, each with its own chances.
     """
 
     robot: Robot
@@ -50,31 +41,31 @@ class Session:
     steps: int
     seed: int
     effects: Sequence[Effect] = ()
-    manner: Manner = "uniform"
+    command_mode: CommandMode = "uniform"
     drive: np.ndarray | None = None
     lost_poses: float = 0.0
     planned_runs: int | None = None
+    operator: Operator = field(default_factory=Operator)
+    pause_s: float = 5.0
     repeats: int = 1
-    conditions: Conditions = field(init=False, repr=False)
+    conditions: ActiveEffects = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "conditions", Conditions(self.robot, self.effects))
+        object.__setattr__(self, "conditions", ActiveEffects(self.robot, self.effects))
 
     def physics(self, vehicles: Sequence[str], dtype: type = np.float64) -> Physics:
         """Return the physics of some vehicles under this session's conditions."""
-        if self.robot.name == "mgr":
-            return Mgr(MgrUnit.of(vehicles, dtype), self.conditions)
-        return Mur(MurUnit.of(vehicles, dtype), self.conditions)
+        return STAND_INS.plugin_class(self.robot.name).of(vehicles, self.conditions, dtype)
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """R, T and V of its footage, all repeats counted."""
+        """R, T and V of what it yields, all repeats counted."""
         return self.runs * self.repeats, self.steps, len(self.vehicles)
 
     @property
     def run_length_s(self) -> float:
         """From the beginning of a run to the beginning of the next, nominally."""
-        return self.steps * self.robot.period_s + PAUSE_S
+        return self.steps * self.robot.period_s + self.pause_s
 
     @property
     def length_s(self) -> float:
@@ -87,7 +78,7 @@ class Session:
 
 
 @dataclass(frozen=True)
-class Footage:
+class DrivenSession:
     """What a session yields. R runs, T periods, V vehicles.
 
     Attributes:
@@ -99,16 +90,16 @@ class Footage:
         state: (states, R, T + 1, V) true physical states.
     """
 
-    session: Session
+    session: StandInSession
     time_s: np.ndarray
     command: np.ndarray
     pose: np.ndarray
     active_command: np.ndarray
     state: np.ndarray
 
-    def first_runs(self, runs: int) -> "Footage":
-        """Return the footage of the first runs alone."""
-        return Footage(
+    def first_runs(self, runs: int) -> "DrivenSession":
+        """Return the first runs alone."""
+        return DrivenSession(
             replace(self.session, runs=runs, planned_runs=self.session.planned_runs or self.session.runs),
             self.time_s[:runs],
             self.command[:runs],
@@ -124,24 +115,26 @@ def require_stand_in(robot: Robot) -> None:
     Raises:
         UserError: there is none, naming those that have one, or it is driven by other commands.
     """
-    if robot.name not in STAND_INS:
-        raise UserError(f"robot {robot.name!r} has no stand-in: {near_miss(robot.name, STAND_INS)}")
-    if robot.command_columns != STAND_INS[robot.name]:
+    if robot.name not in STAND_INS.names():
+        raise UserError(f"robot {robot.name!r} has no stand-in: {near_miss(robot.name, STAND_INS.names())}")
+    columns = STAND_INS.plugin_class(robot.name).command_columns
+    if robot.command_columns != columns:
         raise UserError(
-            f"the stand-in of robot {robot.name!r} is driven by {', '.join(STAND_INS[robot.name])}, "
+            f"the stand-in of robot {robot.name!r} is driven by {', '.join(columns)}, "
             f"not by {', '.join(robot.command_columns)}: use conf/robot/{robot.name}.yaml, robot={robot.name}"
         )
 
 
-def film(session: Session, purpose: str = "session") -> Footage:
+def drive_session(session: StandInSession, purpose: str = "session") -> DrivenSession:
     """Drive all runs of a session side by side; `purpose` tells apart sessions that share a seed."""
     streams = Streams(session.seed, purpose)
     physics = session.physics(session.vehicles)
     shape = session.shape
-    plan = Plan.draw(session.robot, shape, session.manner, _played(session), streams)
+    operator = session.operator
+    plan = operator.plan(session.robot, shape, session.command_mode, _played(session), streams)
     time_s, duration_s = _clock(session, streams)
     noise_shape = (*shape[:2], physics.substeps, physics.noises, shape[2])
-    noise = streams.of("motion").standard_normal(noise_shape, NOISE_TYPE)
+    noise = streams.of("motion").standard_normal(noise_shape, np.float32)
     lost = streams.of("link").random(shape) < session.conditions.loss_probability
 
     state = physics.at_rest(np.moveaxis(plan.start, -1, 0))
@@ -149,7 +142,7 @@ def film(session: Session, purpose: str = "session") -> Footage:
     active[:] = np.reshape(physics.resting_command, (-1, 1, 1))
     states, actives, sent = [state], [active], []
     for step in range(session.steps):
-        command = steer(session.robot, physics, np.moveaxis(state[:3], 0, -1), plan, step)
+        command = operator.steer(session.robot, physics, np.moveaxis(state[:3], 0, -1), plan, step)
         arriving = np.where(lost[:, step], active, np.moveaxis(command, -1, 0))
         progress = session.progress(time_s[:, step, None])
         period = Period(arriving, active, duration_s[:, step, None], progress)
@@ -159,11 +152,11 @@ def film(session: Session, purpose: str = "session") -> Footage:
         actives.append(active)
         sent.append(command)
     true = np.stack(states, axis=2)
-    pose = photograph(session, physics, np.moveaxis(true[:3], 0, -1), streams)
-    return Footage(session, time_s, np.stack(sent, axis=1), pose, np.stack(actives, axis=2), true)
+    pose = measured_poses(session, physics, np.moveaxis(true[:3], 0, -1), streams)
+    return DrivenSession(session, time_s, np.stack(sent, axis=1), pose, np.stack(actives, axis=2), true)
 
 
-def photograph(session: Session, physics: Physics, pose: np.ndarray, streams: Streams) -> np.ndarray:
+def measured_poses(session: StandInSession, physics: Physics, pose: np.ndarray, streams: Streams) -> np.ndarray:
     """Return true poses (R, T + 1, V, 3) as the camera measures them: scaled, noisy, some not at all."""
     noise = streams.of("camera").standard_normal(pose.shape)
     size = np.array([physics.position_noise_mm, physics.position_noise_mm, physics.heading_noise_rad])
@@ -174,7 +167,7 @@ def photograph(session: Session, physics: Physics, pose: np.ndarray, streams: St
     return measured
 
 
-def _clock(session: Session, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
+def _clock(session: StandInSession, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
     """Return when rows are taken (R, T + 1) and how long periods last (R, T), in s."""
     run_count, step_count, _ = session.shape
     nominal = np.full((run_count, step_count), session.robot.period_s)
@@ -184,7 +177,7 @@ def _clock(session: Session, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
     return run_start_s.reshape(-1, 1) + since_start, duration_s
 
 
-def _run_starts(session: Session, length_s: np.ndarray) -> np.ndarray:
+def _run_starts(session: StandInSession, length_s: np.ndarray) -> np.ndarray:
     """Return when runs of lengths (repeats, R) begin, in s: as planned, or a period after a run that ended late."""
     start_s = np.tile(np.arange(session.runs) * session.run_length_s, (session.repeats, 1))
     for run in range(1, session.runs):
@@ -193,7 +186,7 @@ def _run_starts(session: Session, length_s: np.ndarray) -> np.ndarray:
     return start_s
 
 
-def _played(session: Session) -> np.ndarray | None:
+def _played(session: StandInSession) -> np.ndarray | None:
     """Return the drive cut into runs (R, T, m), from its beginning again at its end; None if the operator drives."""
     if session.drive is None:
         return None

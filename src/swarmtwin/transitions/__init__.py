@@ -10,21 +10,17 @@ from swarmtwin.transitions.preparation import (
     load_transitions,
     save_transitions,
 )
-from swarmtwin.transitions.scaling import ColumnScaling, Scaling
-from swarmtwin.transitions.selection import first_runs, held_out
-from swarmtwin.transitions.splitting import Fractions, SplitOptions, split_by_run
+from swarmtwin.transitions.splitting import Fractions, SplitOptions, first_runs, held_out, split_by_run
 from swarmtwin.transitions.storage import read_transitions, write_transitions
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 __all__ = [
     "SPLITS",
-    "ColumnScaling",
     "Counts",
     "Fractions",
     "GeneratorOrigin",
     "Origin",
     "Preparation",
-    "Scaling",
     "SplitOptions",
     "Transitions",
     "first_runs",

@@ -10,9 +10,9 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
-from swarmtwin.transitions.markers import doubtful_rows, teleports
 from swarmtwin.transitions.neighbours import neighbours_at, others_of
 from swarmtwin.transitions.rows import TIME_TOLERANCE_S, Rows
+from swarmtwin.transitions.teleports import doubtful_rows, teleports
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 # Why a transition is dropped, in the order of the checks: each is counted under the first that applies.
@@ -84,6 +84,7 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
     previous_command, earlier_command = _commands_before(rows, robot)
     transitions = Transitions(
         robot=robot,
+        arena_mm=recording.header.arena_mm,
         command=rows.command[start],
         previous_command=previous_command[start],
         earlier_command=earlier_command[start],

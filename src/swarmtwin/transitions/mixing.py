@@ -7,7 +7,7 @@ import numpy as np
 
 from swarmtwin.errors import UserError
 from swarmtwin.transitions.preparation import Preparation, counts_by_split, runs_by_split
-from swarmtwin.transitions.selection import first_runs
+from swarmtwin.transitions.splitting import first_runs
 from swarmtwin.transitions.transitions import Split, Transitions
 
 Prepared = tuple[Transitions, Preparation]
@@ -35,6 +35,7 @@ def mix(real: Prepared, synthetic: Prepared, real_share: float) -> Prepared:
             "recording": real[1].recording,
             "digest": real[1].digest,
             "source": real[1].source,
+            "arena_mm": real[1].arena_mm,
             "learned": tuple(sorted({*real[1].learned, *synthetic[1].learned})),
         }
     )

@@ -1,4 +1,4 @@
-"""Where the other vehicles of a run are at the start of each period, in the vehicle's own frame (DESIGN section 5)."""
+"""Where the other vehicles of a run are at the start of each period, in the vehicle's own frame."""
 
 from collections import defaultdict
 from collections.abc import Hashable, Sequence

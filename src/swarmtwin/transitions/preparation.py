@@ -1,30 +1,26 @@
-"""The folder that `swarmtwin prepare` leaves: transitions, their scaling, and how they came about."""
+"""The folder that `swarmtwin prepare` leaves: transitions, and how they came about."""
 
 import dataclasses
 import json
 from pathlib import Path
-from typing import Literal, Self, TypeVar
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import model_validator
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
-from swarmtwin.recordings.faults import fault
-from swarmtwin.recordings.recording import Recording
-from swarmtwin.robot import StrictModel
+from swarmtwin.recordings.recording import Recording, fault
+from swarmtwin.robot import Arena, StrictModel
 from swarmtwin.transitions.extraction import Counts
-from swarmtwin.transitions.scaling import Scaling
 from swarmtwin.transitions.splitting import Fractions
 from swarmtwin.transitions.storage import read_transitions, write_transitions
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 TRANSITIONS_FILE = "transitions.parquet"
 PREPARATION_FILE = "preparation.json"
-SCALING_FILE = "scaling.json"
 REMEDY = "make it again with swarmtwin prepare"
 
-Model = TypeVar("Model", bound=StrictModel)
 Origin = Literal["real", "synthetic", "mixed"]
 
 
@@ -65,6 +61,7 @@ class Preparation(StrictModel):
         recording: name of the recording's folder, without the path to it.
         digest: identifies the content of the recording's runs.
         source: where the recording comes from, in its own words.
+        arena_mm: where its vehicles could move; null in a folder of an old version.
         vehicles: ids of the vehicles.
         fractions: the shares asked for.
         seed: of the split.
@@ -87,6 +84,7 @@ class Preparation(StrictModel):
     runs: dict[str, tuple[str, ...]]
     transitions: dict[str, int]
     learned: tuple[str, ...]
+    arena_mm: Arena | None = None
     origin: Origin = "real"
     generator: GeneratorOrigin | None = None
 
@@ -108,6 +106,7 @@ def describe(
         recording=name,
         digest=recording.digest,
         source=recording.header.source,
+        arena_mm=recording.header.arena_mm,
         vehicles=recording.vehicles,
         fractions=fractions,
         seed=seed,
@@ -131,10 +130,9 @@ def counts_by_split(transitions: Transitions) -> dict[str, int]:
 
 
 def save_preparation(folder: Path, transitions: Transitions, preparation: Preparation) -> None:
-    """Write transitions, their scaling and `preparation` into an existing `folder`."""
+    """Write transitions and `preparation` into an existing `folder`."""
     save_transitions(folder, transitions)
     write_text(folder / PREPARATION_FILE, preparation.model_dump_json(indent=1) + "\n")
-    write_text(folder / SCALING_FILE, Scaling.learn(transitions).model_dump_json(indent=1) + "\n")
 
 
 def save_transitions(folder: Path, transitions: Transitions) -> None:
@@ -157,22 +155,9 @@ def load_preparation(folder: Path) -> Preparation:
     Raises:
         UserError: it is missing or damaged.
     """
-    return _load_json(folder, PREPARATION_FILE, Preparation)
-
-
-def load_scaling(folder: Path) -> Scaling:
-    """Read `scaling.json` in `folder`.
-
-    Raises:
-        UserError: it is missing or damaged.
-    """
-    return _load_json(folder, SCALING_FILE, Scaling)
-
-
-def _load_json(folder: Path, name: str, model: type[Model]) -> Model:
-    file = _existing(folder, name)
+    file = _existing(folder, PREPARATION_FILE)
     try:
-        return model.parse(json.loads(file.read_text()), str(file))
+        return Preparation.parse(json.loads(file.read_text()), str(file))
     except ValueError as error:
         raise fault(file, f"not valid JSON ({error})", REMEDY) from None
 

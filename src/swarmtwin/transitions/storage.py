@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
-from swarmtwin.recordings.faults import fault
-from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Robot
+from swarmtwin.recordings.recording import fault
+from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 
@@ -34,6 +34,7 @@ def write_transitions(file: Path, transitions: Transitions) -> None:
     }
     metadata = {
         "robot": transitions.robot.model_dump_json(),
+        "arena_mm": transitions.arena_mm.model_dump_json(),
         "runs": json.dumps(transitions.runs),
         "vehicles": json.dumps(transitions.vehicles),
     }
@@ -43,7 +44,7 @@ def write_transitions(file: Path, transitions: Transitions) -> None:
 def read_transitions(file: Path, remedy: str) -> Transitions:
     """Read the transitions in `file`, their robot inside.
 
-    A file of an old version has no neighbours, and its earlier commands are NaN.
+    A file of an old version has no neighbours, its earlier commands are NaN, and its arena is the robot's usual one.
 
     Raises:
         UserError: the file is missing or damaged; `remedy` is what to do about it.
@@ -55,6 +56,7 @@ def read_transitions(file: Path, remedy: str) -> Transitions:
         names = robot.command_columns
         return Transitions(
             robot=robot,
+            arena_mm=Arena.model_validate_json(arena) if (arena := metadata.get("arena_mm")) else robot.arena_mm,
             command=_stacked(table, names),
             previous_command=_stacked(table, tuple(f"previous_{name}" for name in names)),
             earlier_command=_earlier_command(table, names),

@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 import numpy as np
 
-from swarmtwin.robot import Robot
+from swarmtwin.robot import Arena, Robot
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
@@ -18,6 +18,7 @@ class Transitions:
 
     Attributes:
         robot: the robot they were measured on.
+        arena_mm: where its vehicles could move, in the frame of the poses: the recording's arena, not the usual one.
         command: (N, m) held over the period, in the robot's units.
         previous_command: (N, m) held over the period before; NaN where there was none (start of a run, after a gap).
         earlier_command: (N, m) held over the period before that; NaN where there was none or no previous one.
@@ -36,6 +37,7 @@ class Transitions:
     """
 
     robot: Robot
+    arena_mm: Arena
     command: np.ndarray
     previous_command: np.ndarray
     earlier_command: np.ndarray
@@ -52,6 +54,17 @@ class Transitions:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def just_before(self) -> np.ndarray:
+        """Return (N,) the transition of the same run and vehicle that ends where each one begins; −1: none.
+
+        Times are compared to 2 ms, twice what they are rounded to.
+        """
+        same = (self.run[1:] == self.run[:-1]) & (self.vehicle[1:] == self.vehicle[:-1])
+        same &= np.abs(self.time_s[1:] - (self.time_s + self.duration_s)[:-1]) < 2e-3
+        before = np.full(len(self), -1)
+        before[1:][same] = np.flatnonzero(same)
+        return before
 
     def where(self, chosen: np.ndarray) -> Self:
         """Return the transitions chosen by a mask (N,) or by indices; `runs` and `vehicles` stay, so indices hold."""

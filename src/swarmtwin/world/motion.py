@@ -1,18 +1,14 @@
-"""What moves the vehicles: a simulation here, a stand-in or the robots themselves elsewhere."""
+"""What moves the vehicles of a world: a simulation here, stand-ins or the robots themselves elsewhere."""
 
 from typing import Protocol
 
 import numpy as np
 import torch
 
-from swarmtwin.dynamics.base import Dynamics
-from swarmtwin.dynamics.situation import Situation
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import compose, wrap_angle
 from swarmtwin.robot import Robot
-from swarmtwin.transitions.neighbours import relative_poses
-
-CHUNK = 16_384
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.simulation.state import State
 
 
 class Motion(Protocol):
@@ -21,103 +17,93 @@ class Motion(Protocol):
     robot: Robot
 
     def place(self, worlds: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Put the vehicles of the worlds at indices (n,) to poses (n, K, 3), at rest, with no past.
+        """Put the vehicles of the worlds at indices (n,) to poses (n, K, 3), at rest and with no past.
 
         Returns:
-            (n, K, 3) their poses.
+            (n, K, 3) their measured poses.
         """
 
     def move(self, command: np.ndarray) -> np.ndarray:
         """Hold commands (W, K, m), in the robot's units, for one period.
 
         Returns:
-            (W, K, 3) the poses at its end.
+            (W, K, 3) the measured poses at its end.
         """
 
 
 class SimulatedMotion(Motion):
-    """Every vehicle moves as one dynamics model predicts, equation (1) of the paper; poses are measured exactly.
+    """A simulation that a world steps: it holds the state between two periods, and nothing else.
 
-    A model that looks at neighbours is told of the other vehicles of the same world.
+    Attributes:
+        robot: whose vehicles they are.
+        simulation: what moves them.
+        is_sampled: whether motion is drawn, or the most likely one.
     """
 
-    def __init__(self, dynamics: Dynamics, worlds: int, vehicles: int) -> None:
-        """Put `worlds` · `vehicles` at the arena's origin; `place` puts them elsewhere."""
-        self.robot = dynamics.robot
-        self._dynamics = dynamics.eval()
-        self._pose = np.zeros((worlds, vehicles, 3))
-        self._previous_command = np.full((worlds, vehicles, len(self.robot.command)), np.nan)
-        self._earlier_command = self._previous_command.copy()
-        self._elapsed_s = np.zeros(worlds)
+    def __init__(
+        self, simulation: Simulation, worlds: int, vehicles: int, sampled: bool | None = None, seed: int = 0
+    ) -> None:
+        """Put `worlds` · `vehicles` at the arena's origin; `place` puts them elsewhere.
 
-    def place(self, worlds: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Put vehicles down: their commands before are unknown and their time begins anew."""
-        self._pose[worlds] = pose
-        self._pose[worlds, :, 2] = wrap_angle(self._pose[worlds, :, 2])
-        self._previous_command[worlds] = np.nan
-        self._earlier_command[worlds] = np.nan
-        self._elapsed_s[worlds] = 0.0
-        placed: np.ndarray = self._pose[worlds]
-        return placed
-
-    def move(self, command: np.ndarray) -> np.ndarray:
-        """Predict all displacements in one batch and compose them with the poses.
+        Args:
+            simulation: what moves the vehicles.
+            worlds: how many groups are side by side, W.
+            vehicles: how many there are in each, K.
+            sampled: whether motion is drawn from the simulation's distribution, with lost commands, irregular periods,
+                random motion, camera noise and an age of the session for each roll-out, instead of the most likely one.
+                None: drawn where mechanisms extend the simulation; the most likely one, as in the paper, for a bare
+                dynamics model.
+            seed: of what is drawn.
 
         Raises:
-            UserError: the model predicts something that is not finite.
+            UserError: motion is to be drawn, and the simulation does not know of anything random.
         """
-        displacement = self._displacement(command)
-        if not np.isfinite(displacement).all():
+        if sampled and not simulation.is_extended and simulation.motion_noise is None:
             raise UserError(
-                f"the dynamics model {self._dynamics.config.name!r} of {self.robot.name!r} predicts a displacement "
-                "that is not finite: train it anew"
+                f"sampled=true: this simulation of {simulation.robot.name!r} does not know how much its motion varies: "
+                "train its dynamics model anew, or leave it out"
             )
-        self._pose = compose(self._pose, displacement)
-        self._earlier_command = self._previous_command
-        self._previous_command = command.copy()
-        self._elapsed_s = self._elapsed_s + self.robot.period_s
-        return self._pose.copy()
+        self.robot = simulation.robot
+        self.simulation = simulation.eval()
+        self.is_sampled = simulation.is_extended if sampled is None else sampled
+        self._rng = torch.Generator().manual_seed(seed)
+        self._state = simulation.start(torch.zeros(worlds, vehicles, 3))
+
+    def place(self, worlds: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Put vehicles down: their commands before are unknown and their session begins anew."""
+        placed = self.simulation.start(torch.as_tensor(pose), rng=self._drawn_from)
+        self._state = self._state.with_worlds(torch.as_tensor(worlds), placed)
+        measured: np.ndarray = self.simulation.observe(placed, self._drawn_from).numpy()
+        return measured
+
+    def move(self, command: np.ndarray) -> np.ndarray:
+        """Step all vehicles at once.
+
+        Raises:
+            UserError: the simulation predicts something that is not finite.
+        """
+        with torch.inference_mode():
+            self._state = self.simulation.step(self._state, torch.as_tensor(command), rng=self._drawn_from)
+            measured: np.ndarray = self.simulation.observe(self._state, self._drawn_from).numpy()
+        return measured.copy()
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the next motion depends on, for a checkpoint."""
-        return {
-            "pose": self._pose.copy(),
-            "previous_command": self._previous_command.copy(),
-            "earlier_command": self._earlier_command.copy(),
-            "elapsed_s": self._elapsed_s.copy(),
-        }
+        state = self._state
+        arrays = {name: values.numpy().copy() for name, values in state.parts().items()}
+        return {**arrays, "rng": self._rng.get_state().numpy().copy()}
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from a `state` of the same worlds and vehicles; one of an old version may have no earlier commands.
+        """Continue from a `state` of the same worlds and vehicles.
 
         Raises:
             ValueError: it is of other ones.
         """
-        if state["pose"].shape != self._pose.shape:
-            raise ValueError(f"a state of poses {state['pose'].shape} does not fit {self._pose.shape}")
-        self._pose = state["pose"].copy()
-        self._previous_command = state["previous_command"].copy()
-        unknown = np.full_like(self._previous_command, np.nan)
-        self._earlier_command = state.get("earlier_command", unknown).copy()
-        self._elapsed_s = state["elapsed_s"].copy()
+        if state["pose"].shape != tuple(self._state.pose.shape):
+            raise ValueError(f"a state of poses {state['pose'].shape} does not fit {tuple(self._state.pose.shape)}")
+        self._rng.set_state(torch.as_tensor(state["rng"]))
+        self._state = State.of_parts({name: torch.as_tensor(array) for name, array in state.items() if name != "rng"})
 
-    def _displacement(self, command: np.ndarray) -> np.ndarray:
-        """Return the displacements (W, K, 3) that follow commands (W, K, m)."""
-        worlds, vehicles, columns = command.shape
-        count = worlds * vehicles
-        parts = {
-            "command": command.reshape(count, columns),
-            "previous_command": self._previous_command.reshape(count, columns),
-            "earlier_command": self._earlier_command.reshape(count, columns),
-            "pose": self._pose.reshape(count, 3),
-            "elapsed_s": np.repeat(self._elapsed_s, vehicles),
-            "duration_s": np.full(count, self.robot.period_s),
-        }
-        if "neighbours" in self._dynamics.parts:
-            parts["neighbours"] = relative_poses(self._pose).reshape(count, vehicles - 1, 3)
-        asked = {part: torch.as_tensor(parts[part], dtype=torch.float32) for part in self._dynamics.parts}
-        situation = Situation(**asked)
-        with torch.inference_mode():
-            chunks = [self._dynamics(situation[start : start + CHUNK]) for start in range(0, count, CHUNK)]
-        displacement: np.ndarray = torch.cat(chunks).numpy().astype(float).reshape(worlds, vehicles, 3)
-        return displacement
+    @property
+    def _drawn_from(self) -> torch.Generator | None:
+        return self._rng if self.is_sampled else None

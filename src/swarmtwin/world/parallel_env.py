@@ -8,11 +8,10 @@ from pettingzoo import ParallelEnv
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.world.motion import Motion
-from swarmtwin.world.shot import Shot, Status
+from swarmtwin.world.rendering.frame import Frame, Status
 from swarmtwin.world.task import Task
 from swarmtwin.world.world import Step, World
 
-RENDER_MODES = ("rgb_array",)
 Observations = dict[str, np.ndarray]
 Infos = dict[str, dict[str, Any]]
 
@@ -37,12 +36,13 @@ class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     render_mode: str | None
 
     def __init__(self, task: Task, motion: Motion, seed: int, render_mode: str | None) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise UserError(f"no such render mode: {render_mode!r}: {near_miss(render_mode, RENDER_MODES)}")
+        render_modes = ["rgb_array"]
+        if render_mode is not None and render_mode not in render_modes:
+            raise UserError(f"no such render mode: {render_mode!r}: {near_miss(render_mode, render_modes)}")
         robot = task.robot
         self.metadata = {
             "name": f"swarmtwin_{task.config.name}",
-            "render_modes": list(RENDER_MODES),
+            "render_modes": render_modes,
             "render_fps": 1.0 / robot.period_s,
             "is_parallelizable": True,
         }
@@ -68,7 +68,7 @@ class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Start in a new scene; `seed` decides it and the ones after it. There are no `options`."""
+        """Start in a new scenario; `seed` decides it and the ones after it. There are no `options`."""
         if seed is not None:
             self.world.reseed(seed)
         observation = self.world.reset()[0]
@@ -106,9 +106,9 @@ class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         """Return a picture (height, width, 3) of the world now, where the render mode asks for one."""
         if self.render_mode is None:
             return None
-        from swarmtwin.world.rendering import draw  # OpenCV, only for those who want pictures
+        from swarmtwin.world.rendering.drawing import draw  # OpenCV, only for those who want pictures
 
-        return draw(self._shot())
+        return draw(self._frame())
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -130,16 +130,17 @@ class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self._collided |= bool(step.collided[0])
         self._left_arena |= bool(step.left_arena[0])
 
-    def _shot(self) -> Shot:
-        scene = self.world.scene
-        return Shot(
+    def _frame(self) -> Frame:
+        scenario = self.world.scenario
+        return Frame(
             title=self.world.task.config.name,
             robot=self.world.robot,
+            arena=self.world.task.arena,
             task=self.world.task.config,
             path=np.stack(self._path),
-            targets=scene.targets[0],
-            leg=int(scene.leg[0]),
-            obstacles=scene.obstacles[0],
+            targets=scenario.targets[0],
+            leg=int(scenario.leg[0]),
+            obstacles=scenario.obstacles[0],
             time_s=float(self.world.step_count[0] * self.world.robot.period_s),
             colliding=self._colliding,
             status=Status.of(self._collided, self._left_arena, bool(self.world.reached[0])),

@@ -2,18 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.stats import binomtest
 
-from swarmtwin.robot import Robot
-from swarmtwin.world.scene import Scene
-from swarmtwin.world.task import TaskConfig
+from swarmtwin.robot import Arena, Robot
+from swarmtwin.world.motion import Motion
+from swarmtwin.world.scenario import Scenario
+from swarmtwin.world.task import Task, TaskConfig
 from swarmtwin.world.world import Step, World
 
 NEVER = -1
-CONFIDENT = 1.959963984540054
-"""Standard deviations of a normal distribution on either side of its mean that hold 95 %."""
 
 Act = Callable[[np.ndarray], np.ndarray]
 """Observations (W, K, o) → commands (W, K, m) in the robot's units."""
@@ -27,8 +27,9 @@ class Rollout:
 
     Attributes:
         robot: whose vehicles they are.
+        arena: where they drove.
         task: what they were asked to do.
-        scene: where they began; its legs are the first ones.
+        scenario: where they began; its legs are the first ones.
         pose: (T + 1, W, K, 3) as measured.
         leg: (T + 1, W) index of the target sought from then on.
         command: (T, W, K, m) as sent.
@@ -41,8 +42,9 @@ class Rollout:
     """
 
     robot: Robot
+    arena: Arena
     task: TaskConfig
-    scene: Scene
+    scenario: Scenario
     pose: np.ndarray
     leg: np.ndarray
     command: np.ndarray
@@ -54,7 +56,7 @@ class Rollout:
     reached: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.scene)
+        return len(self.scenario)
 
     @property
     def periods(self) -> np.ndarray:
@@ -96,7 +98,7 @@ class Rollout:
     @property
     def target(self) -> np.ndarray:
         """The target sought at each moment, (T + 1, W, 2)."""
-        target: np.ndarray = self.scene.targets[np.arange(len(self)), self.leg]
+        target: np.ndarray = self.scenario.targets[np.arange(len(self)), self.leg]
         return target
 
     @property
@@ -115,7 +117,7 @@ class Rollout:
         """Return some of the roll-outs: indices (n,) or a mask (W,)."""
         along_time = ("pose", "leg", "command", "reward", "counted", "collided", "left_arena", "at_target", "reached")
         parts = {name: getattr(self, name)[:, worlds] for name in along_time}
-        return Rollout(self.robot, self.task, self.scene.where(worlds), **parts)
+        return Rollout(self.robot, self.arena, self.task, self.scenario.where(worlds), **parts)
 
 
 def roll_out(world: World, act: Act) -> Rollout:
@@ -123,11 +125,11 @@ def roll_out(world: World, act: Act) -> Rollout:
 
     Raises:
         UserError: a command is not finite.
-        ValueError: the world has been played already: reset it, or start it in a scene.
+        ValueError: the world has been played already: reset it, or start it in a scenario.
     """
     if world.step_count.any():
-        raise ValueError("the world has been played already: reset it, or start it in a scene")
-    scene, poses, legs = world.scene, [world.pose], [world.scene.leg]
+        raise ValueError("the world has been played already: reset it, or start it in a scenario")
+    scenario, poses, legs = world.scenario, [world.pose], [world.scenario.leg]
     observation = world.observe()
     steps: list[Step] = []
     while not world.ended.all():
@@ -135,11 +137,12 @@ def roll_out(world: World, act: Act) -> Rollout:
         observation = step.observation
         steps.append(step)
         poses.append(world.pose)
-        legs.append(world.scene.leg)
+        legs.append(world.scenario.leg)
     return Rollout(
         robot=world.robot,
+        arena=world.task.arena,
         task=world.task.config,
-        scene=scene,
+        scenario=scenario,
         pose=np.stack(poses),
         leg=np.stack(legs),
         command=np.stack([step.command for step in steps]),
@@ -152,6 +155,29 @@ def roll_out(world: World, act: Act) -> Rollout:
     )
 
 
+def play(task: Task, motion: Motion, scenario: Scenario, act: Act) -> Rollout:
+    """Roll a task out from the W worlds of a scenario, moved by a motion of as many.
+
+    Raises:
+        UserError: a command or a pose is not finite.
+    """
+    world = World(task, motion, len(scenario), seed=0)
+    world.start(scenario)
+    return roll_out(world, act)
+
+
+Show = Literal["typical", "best", "worst"]
+"""Which roll-out to show: that of median reward, or the best or worst, where failing is worse than any reward."""
+
+
+def chosen_world(rollout: Rollout, show: Show) -> int:
+    """Return the index of the roll-out to show."""
+    if show == "typical":
+        return int(np.argsort(rollout.mean_reward, kind="stable")[len(rollout) // 2])
+    order = np.lexsort((rollout.mean_reward, rollout.success))
+    return int(order[0 if show == "worst" else -1])
+
+
 class Rate(NamedTuple):
     """A share of roll-outs, with Wilson's 95 % interval."""
 
@@ -162,11 +188,8 @@ class Rate(NamedTuple):
     @classmethod
     def of(cls, happened: np.ndarray) -> "Rate":
         """Return the share of what happened, (W,) bool; W at least 1."""
-        count, value = len(happened), float(np.mean(happened))
-        square = CONFIDENT**2
-        centre = (value + square / (2 * count)) / (1 + square / count)
-        half = CONFIDENT / (1 + square / count) * np.sqrt(value * (1 - value) / count + square / (4 * count**2))
-        return cls(value, max(0.0, float(centre - half)), min(1.0, float(centre + half)))
+        interval = binomtest(int(np.sum(happened)), len(happened)).proportion_ci(0.95, method="wilson")
+        return cls(float(np.mean(happened)), float(interval.low), float(interval.high))
 
 
 class RolloutFigures(NamedTuple):

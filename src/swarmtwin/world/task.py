@@ -1,4 +1,4 @@
-"""What the vehicles are asked to do: where they start, what they see, what they earn, what counts as a success."""
+"""What the vehicles are asked to do: where they start, what they observe, what they earn, what counts as a success."""
 
 import math
 from abc import ABC, abstractmethod
@@ -9,12 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from swarmtwin.errors import UserError
-from swarmtwin.robot import Positive, Robot, StrictModel
-from swarmtwin.world.scene import Scene
-
-ROUNDING = 1e-9
-LOST = 0.5
-"""A vehicle this far outside the arena, as a share of its shorter side, is lost."""
+from swarmtwin.plugins import PluginRegistry
+from swarmtwin.robot import Arena, Positive, Robot, StrictModel
+from swarmtwin.world import tasks
+from swarmtwin.world.observations import ObservationScaling
+from swarmtwin.world.scenario import Scenario
 
 Count = Annotated[int, Field(ge=1)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -33,6 +32,8 @@ class TaskConfig(StrictModel):
         hold_s: the target is reached once all vehicles have been at it for this long, in a row.
         margin_mm: starts keep this distance from the arena's border.
         outside_mm: a vehicle whose centre is further outside the arena than this has left it.
+        lost_share: a vehicle further outside than this share of the arena's shorter side is lost: its roll-out ends.
+        observation: how lengths are scaled in observations.
     """
 
     name: str
@@ -43,13 +44,15 @@ class TaskConfig(StrictModel):
     hold_s: NotNegative
     margin_mm: NotNegative
     outside_mm: NotNegative
+    lost_share: Share = 0.5
+    observation: ObservationScaling = ObservationScaling()
 
     @abstractmethod
-    def build(self, robot: Robot) -> "Task":
-        """Return the task for a robot.
+    def build(self, robot: Robot, arena: Arena | None = None) -> "Task":
+        """Return the task for a robot in an arena; None: the robot's usual one.
 
         Raises:
-            UserError: it cannot be done by this robot in its arena.
+            UserError: it cannot be done by this robot in that arena.
         """
 
 
@@ -69,10 +72,11 @@ class Events:
 
 
 class Task(ABC):
-    """One task of one robot: pure functions of a scene and of poses (W, K, 3).
+    """One task of one robot: pure functions of a scenario and of poses (W, K, 3).
 
     Attributes:
         robot: whose vehicles it is for.
+        arena: where they drive.
         config: its configuration.
         ends_early: whether a roll-out ends with the first collision, or with the target reached.
         observation_names: what the numbers of an observation are, in order.
@@ -82,10 +86,11 @@ class Task(ABC):
     ends_early: ClassVar[bool]
     observation_names: tuple[str, ...]
 
-    def __init__(self, robot: Robot, config: TaskConfig) -> None:
+    def __init__(self, robot: Robot, config: TaskConfig, arena: Arena | None = None) -> None:
         self.robot = robot
+        self.arena = arena or robot.arena_mm
         self.config: Any = config
-        self.hold_steps = max(1, math.ceil(config.hold_s / robot.period_s - ROUNDING))
+        self.hold_steps = max(1, math.ceil(config.hold_s / robot.period_s - 1e-9))  # for rounding
         self._check_margin()
         self._check_within_time()
 
@@ -110,42 +115,42 @@ class Task(ABC):
         return 1
 
     @abstractmethod
-    def draw(self, rng: np.random.Generator, worlds: int) -> Scene:
-        """Draw the scenes of some worlds."""
+    def draw(self, rng: np.random.Generator, worlds: int) -> Scenario:
+        """Draw the scenarios of some worlds."""
 
     @abstractmethod
-    def observe(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
-        """Return what each vehicle sees, (W, K, o) float32."""
+    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Return what each vehicle observes, (W, K, o) float32."""
 
     @abstractmethod
-    def reward(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return what each vehicle earns for being where it is, (W, K)."""
 
     @abstractmethod
-    def collided(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return whether each vehicle collides with anything, (W, K)."""
 
-    def events(self, scene: Scene, pose: np.ndarray) -> Events:
+    def events(self, scenario: Scenario, pose: np.ndarray) -> Events:
         """Return what has happened to each vehicle."""
-        arena, tolerance_mm = self.robot.arena_mm, self.config.outside_mm
+        arena, tolerance_mm = self.arena, self.config.outside_mm
         position = pose[..., :2]
         outside = (position < arena.low_mm - tolerance_mm) | (position > arena.high_mm + tolerance_mm)
-        at_target = self.target_distance_mm(scene, pose) <= self.config.reach_mm
-        return Events(self.collided(scene, pose), outside.any(axis=-1), at_target)
+        at_target = self.target_distance_mm(scenario, pose) <= self.config.reach_mm
+        return Events(self.collided(scenario, pose), outside.any(axis=-1), at_target)
 
     def lost(self, pose: np.ndarray) -> np.ndarray:
         """Return whether a vehicle of a world is so far outside the arena that no model knows what it does there, (W,).
 
         It has failed long before; its roll-out stops, so that nothing is learned from such places.
         """
-        arena = self.robot.arena_mm
-        far_mm = LOST * min(arena.high_mm - arena.low_mm)
+        arena = self.arena
+        far_mm = self.config.lost_share * min(arena.high_mm - arena.low_mm)
         position = pose[..., :2]
         return np.any((position < arena.low_mm - far_mm) | (position > arena.high_mm + far_mm), axis=(1, 2))
 
-    def target_distance_mm(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def target_distance_mm(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return how far each vehicle is from the target it seeks, (W, K)."""
-        away = pose[..., :2] - scene.target[:, None]
+        away = pose[..., :2] - scenario.target[:, None]
         return np.hypot(away[..., 0], away[..., 1])
 
     def refusal(self, what: str, remedy: str) -> UserError:
@@ -155,7 +160,7 @@ class Task(ABC):
     @property
     def start_room_mm(self) -> tuple[np.ndarray, np.ndarray]:
         """The corners (2,) and (2,) of the rectangle that starts are drawn from."""
-        arena, margin_mm = self.robot.arena_mm, self.config.margin_mm
+        arena, margin_mm = self.arena, self.config.margin_mm
         return arena.low_mm + margin_mm, arena.high_mm - margin_mm
 
     def _check_margin(self) -> None:
@@ -167,7 +172,7 @@ class Task(ABC):
             )
 
     def _check_within_time(self) -> None:
-        size_mm = self.robot.arena_mm.high_mm - self.robot.arena_mm.low_mm
+        size_mm = self.arena.high_mm - self.arena.low_mm
         step_mm = self.robot.largest_displacement.forward_mm
         across = max(0, math.ceil((float(np.hypot(*size_mm)) - self.config.reach_mm) / step_mm))
         needed = self.legs * (across + self.hold_steps)
@@ -177,3 +182,10 @@ class Task(ABC):
                 "every target from everywhere in its arena and hold it",
                 f"raise steps to {needed} or more",
             )
+
+
+TASKS: PluginRegistry[TaskConfig] = PluginRegistry(tasks, "kind of task", group="task", field="kind")
+
+task_kinds = TASKS.names
+config_class = TASKS.plugin_class
+task_config = TASKS.config

@@ -1,4 +1,4 @@
-"""W worlds of K vehicles each, vectorised: a task says what is seen and earned, a motion says where commands lead."""
+"""W worlds of K vehicles each, vectorised: a task gives observation and reward, a motion says where commands lead."""
 
 import json
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 from swarmtwin.world.motion import Motion
-from swarmtwin.world.scene import Scene
+from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Events, Task
 
 
@@ -63,7 +63,7 @@ class World:
         robot: whose vehicles they are.
         motion: what moves them.
         worlds: how many there are side by side, W.
-        scene: what is asked now, with the targets that are sought now.
+        scenario: what is asked now, with the targets that are sought now.
         pose: (W, K, 3) as measured last.
         step_count: (W,) periods since the start.
         ended: (W,) whether the roll-out is over.
@@ -91,23 +91,25 @@ class World:
         return self.worlds, self.task.vehicles, len(self.robot.command)
 
     def reseed(self, seed: int) -> None:
-        """Draw all scenes from now on from another seed."""
+        """Draw all scenarios from now on with another seed."""
         self._rng = np.random.default_rng(seed)
 
     def reset(self) -> np.ndarray:
-        """Start every world in a new scene; return the observation (W, K, o)."""
+        """Start every world in a new scenario; return the observation (W, K, o)."""
         return self.start(self.task.draw(self._rng, self.worlds))
 
-    def start(self, scene: Scene) -> np.ndarray:
-        """Start every world in the given scene, at its first target; return the observation (W, K, o).
+    def start(self, scenario: Scenario) -> np.ndarray:
+        """Start every world in the given scenario, at its first target; return the observation (W, K, o).
 
         Raises:
-            ValueError: the scene has another number of worlds or vehicles.
+            ValueError: the scenario has another number of worlds or vehicles.
         """
-        if scene.start.shape != (self.worlds, self.task.vehicles, 3):
-            raise ValueError(f"a scene of starts {scene.start.shape} for {self.worlds} × {self.task.vehicles} vehicles")
-        self.scene = scene.from_first_leg()
-        self.pose = self.motion.place(np.arange(self.worlds), scene.start)
+        if scenario.start.shape != (self.worlds, self.task.vehicles, 3):
+            raise ValueError(
+                f"a scenario of starts {scenario.start.shape} for {self.worlds} × {self.task.vehicles} vehicles"
+            )
+        self.scenario = scenario.from_first_leg()
+        self.pose = self.motion.place(np.arange(self.worlds), scenario.start)
         self.step_count = np.zeros(self.worlds, dtype=int)
         self.ended = np.zeros(self.worlds, dtype=bool)
         self.reached = np.zeros(self.worlds, dtype=bool)
@@ -115,11 +117,11 @@ class World:
         return self.observe()
 
     def restart(self, worlds: np.ndarray) -> np.ndarray:
-        """Start the worlds of a mask (W,) in new scenes, leave the others; return the observation (W, K, o)."""
+        """Start the worlds of a mask (W,) in new scenarios, leave the others; return the observation (W, K, o)."""
         rows = np.flatnonzero(worlds)
         if len(rows):
             drawn = self.task.draw(self._rng, len(rows))
-            self.scene = self.scene.replaced(rows, drawn)
+            self.scenario = self.scenario.replaced(rows, drawn)
             self.pose = self.pose.copy()
             self.pose[rows] = self.motion.place(rows, drawn.start)
             for counter in (self.step_count, self.ended, self.reached, self._held_steps):
@@ -127,8 +129,8 @@ class World:
         return self.observe()
 
     def observe(self) -> np.ndarray:
-        """Return what each vehicle sees now, (W, K, o) float32."""
-        return self.task.observe(self.scene, self.pose)
+        """Return what each vehicle observes now, (W, K, o) float32."""
+        return self.task.observe(self.scenario, self.pose)
 
     def step(self, command: np.ndarray) -> Step:
         """Hold commands (W, K, m), in the robot's units, for one period; those beyond the limits are cut to them.
@@ -144,7 +146,7 @@ class World:
         self._check_finite(pose, "pose", "mm, mm, rad", "nothing was measured there")
         self.pose = np.where(counted[:, None, None], pose, self.pose)
         self.step_count += counted
-        reward = np.where(counted[:, None], self.task.reward(self.scene, self.pose), 0.0)
+        reward = np.where(counted[:, None], self.task.reward(self.scenario, self.pose), 0.0)
         events = self._events(counted)
         self._follow_targets(events)
         terminated = counted & self.task.ends_early & (events.collided.any(axis=1) | self.reached)
@@ -156,10 +158,10 @@ class World:
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the next step depends on beside the motion, for a checkpoint."""
         return {
-            "start": self.scene.start,
-            "targets": self.scene.targets,
-            "obstacles": self.scene.obstacles,
-            "leg": self.scene.leg,
+            "start": self.scenario.start,
+            "targets": self.scenario.targets,
+            "obstacles": self.scenario.obstacles,
+            "leg": self.scenario.leg,
             "pose": self.pose.copy(),
             "step_count": self.step_count.copy(),
             "ended": self.ended.copy(),
@@ -176,7 +178,7 @@ class World:
         """
         if state["pose"].shape != self.pose.shape:
             raise ValueError(f"a state of poses {state['pose'].shape} does not fit {self.pose.shape}")
-        self.scene = Scene(state["start"], state["targets"], state["obstacles"], state["leg"])
+        self.scenario = Scenario(state["start"], state["targets"], state["obstacles"], state["leg"])
         self.pose = state["pose"].copy()
         self.step_count = state["step_count"].copy()
         self.ended, self.reached = state["ended"].copy(), state["reached"].copy()
@@ -205,7 +207,7 @@ class World:
         )
 
     def _events(self, counted: np.ndarray) -> Events:
-        events = self.task.events(self.scene, self.pose)
+        events = self.task.events(self.scenario, self.pose)
         here = counted[:, None]
         return Events(events.collided & here, events.left_arena & here, events.at_target & here)
 
@@ -213,9 +215,9 @@ class World:
         """Count the steps in a row in which all vehicles are at the target; pass on to the next one once held."""
         self._held_steps = np.where(events.at_target.all(axis=1), self._held_steps + 1, 0)
         held = self._held_steps >= self.task.hold_steps
-        self.reached = self.reached | (held & self.scene.on_last_leg)
-        self._held_steps[held & ~self.scene.on_last_leg] = 0
-        self.scene = self.scene.advanced(held)
+        self.reached = self.reached | (held & self.scenario.on_last_leg)
+        self._held_steps[held & ~self.scenario.on_last_leg] = 0
+        self.scenario = self.scenario.advanced(held)
 
 
 def _check_same_robot(wanted: Robot, moved: Robot) -> None:

@@ -3,10 +3,10 @@
 import numpy as np
 from pairs import first_periods, session, true_displacements
 
-from swarmtwin.standin.effect import Moment
+from swarmtwin.standin.effect import Placement
 from swarmtwin.standin.effects import parse_effects
-from swarmtwin.standin.session import film
-from swarmtwin.standin.truth import expected_given_everything
+from swarmtwin.standin.exact_means import mean_given_state
+from swarmtwin.standin.session import drive_session
 
 
 def test_gain_change_multiplies_the_wheels_way(robots):
@@ -44,17 +44,17 @@ def test_command_delay_moves_the_motion_by_the_delay(robots):
     """From rest, the wheels have been driven for that much less than the period."""
     robot = robots["mgr"]
     for delay_s in (0.05, 0.2, 0.437):
-        footage = film(session(robot, {"name": "command_delay", "delay_s": delay_s}, runs=200, steps=1))
-        physics = footage.session.physics(("1", "2"))
-        wanted = physics.target(np.moveaxis(footage.command[:, 0], -1, 0), 1.0)
-        driven = 1 - np.exp(-(0.5 - delay_s) / physics.unit.time_constant_s)
-        np.testing.assert_allclose(footage.state[3:5, :, 1], wanted * driven, atol=1.0)
+        driven = drive_session(session(robot, {"name": "command_delay", "delay_s": delay_s}, runs=200, steps=1))
+        physics = driven.session.physics(("1", "2"))
+        wanted = physics.target(np.moveaxis(driven.command[:, 0], -1, 0), 1.0)
+        reached = 1 - np.exp(-(0.5 - delay_s) / physics.unit.time_constant_s)
+        np.testing.assert_allclose(driven.state[3:5, :, 1], wanted * reached, atol=1.0)
 
 
 def test_actuator_lag_adds_to_the_time_constant(robots):
     robot = robots["mgr"]
     plain, changed = (
-        film(session(robot, *entries, runs=200, steps=1))
+        drive_session(session(robot, *entries, runs=200, steps=1))
         for entries in ((), ({"name": "actuator_lag", "time_constant_s": 0.2},))
     )
     lag_s = plain.session.physics(("1", "2")).unit.time_constant_s
@@ -66,7 +66,7 @@ def test_backlash_costs_its_travel_at_each_reversal_and_nothing_between(robots):
     robot = robots["mgr"]
     drive = np.array([[60, 60], [60, 60], [-60, -60], [-60, -60]], float)
     plain, changed = (
-        expected_given_everything(film(session(robot, *entries, runs=1, steps=4, drive=drive)))[0, :, 0, 0]
+        mean_given_state(drive_session(session(robot, *entries, runs=1, steps=4, drive=drive)))[0, :, 0, 0]
         for entries in ((), ({"name": "backlash", "travel_mm": 6},))
     )
     slip_kept = 1 - 0.04
@@ -78,10 +78,11 @@ def test_backlash_costs_its_travel_at_each_reversal_and_nothing_between(robots):
 def test_battery_sag_begins_with_nothing_and_grows_to_its_loss(robots):
     robot = robots["mgr"]
     plain, changed = (
-        film(session(robot, *entries, runs=60, steps=10)) for entries in ((), ({"name": "battery_sag", "loss": 0.4},))
+        drive_session(session(robot, *entries, runs=60, steps=10))
+        for entries in ((), ({"name": "battery_sag", "loss": 0.4},))
     )
     strength = 1 - 0.4 * plain.session.progress(plain.time_s[:, :1])
-    turn_rad, fresh_turn_rad = (true_displacements(footage)[:, 0, :, 2] for footage in (changed, plain))
+    turn_rad, fresh_turn_rad = (true_displacements(driven)[:, 0, :, 2] for driven in (changed, plain))
     np.testing.assert_allclose(turn_rad, strength * fresh_turn_rad, atol=1e-9)
     assert strength[0] == 1
     assert 0.6 < strength[-1] < 0.61
@@ -92,4 +93,4 @@ def test_a_battery_of_another_shape_sags_late(robots):
     late = parse_effects([{"name": "battery_sag", "loss": 0.4, "shape": 3}], robot, 1)[0]
     progress = np.array([0.0, 0.5, 1.0])
     none = np.zeros(3)
-    np.testing.assert_allclose(late.strength(Moment(progress, none, none, none, none, none)), [1, 0.95, 0.6])
+    np.testing.assert_allclose(late.strength(Placement(progress, none, none, none, none, none)), [1, 0.95, 0.6])

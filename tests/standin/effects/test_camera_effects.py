@@ -4,14 +4,14 @@ import numpy as np
 from pairs import session, true_displacements
 
 from swarmtwin.geometry import displacement_between
-from swarmtwin.standin.session import film
-from swarmtwin.standin.truth import expected_given_everything
+from swarmtwin.standin.exact_means import mean_given_state
+from swarmtwin.standin.session import drive_session
 
 
 def test_camera_scale_scales_translation_and_not_rotation(robots):
     robot = robots["mgr"]
     plain, changed = (
-        expected_given_everything(film(session(robot, *entries)))
+        mean_given_state(drive_session(session(robot, *entries)))
         for entries in ((), ({"name": "camera_scale", "scale": 1.1},))
     )
     np.testing.assert_allclose(changed[..., :2], 1.1 * plain[..., :2], atol=1e-3)
@@ -30,7 +30,7 @@ def test_a_marker_off_the_centre_swings_with_the_turn(robots):
     robot = robots["mgr"]
     offset = np.array([9.0, -4.0])
     entry = {"name": "marker_offset", "forward_mm": 9, "left_mm": -4}
-    plain, changed = (film(session(robot, *entries)) for entries in ((), (entry,)))
+    plain, changed = (drive_session(session(robot, *entries)) for entries in ((), (entry,)))
     conditions = changed.session.conditions
     pose = np.moveaxis(changed.state[:3], 0, -1)
     seen = displacement_between(conditions.seen(pose)[:, :-1], conditions.seen(pose)[:, 1:])
@@ -44,7 +44,7 @@ def test_a_marker_off_the_centre_swings_with_the_turn(robots):
 def test_a_turned_marker_turns_the_measured_translation_back(robots):
     robot = robots["mgr"]
     plain, changed = (
-        expected_given_everything(film(session(robot, *entries)))
+        mean_given_state(drive_session(session(robot, *entries)))
         for entries in ((), ({"name": "marker_yaw", "angle_rad": 0.3},))
     )
     forward, left = plain[..., 0], plain[..., 1]

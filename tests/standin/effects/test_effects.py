@@ -11,12 +11,12 @@ from pairs import displacements, session
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.standin import effects as effects_package
-from swarmtwin.standin import truth
-from swarmtwin.standin.conditions import Conditions
+from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.effects import catalogue, parse_effects
-from swarmtwin.standin.session import Session, film
-from swarmtwin.standin.truth import expected_given_everything
+from swarmtwin.standin.exact_means import mean_given_situation, mean_given_state
+from swarmtwin.standin.physics import Physics
+from swarmtwin.standin.session import StandInSession, drive_session
 
 CATALOGUE = {
     *("gain_change", "actuator_asymmetry", "dead_band", "saturation", "command_delay", "actuator_lag", "backlash"),
@@ -69,7 +69,7 @@ def test_the_catalogue_the_registry_and_the_disk_agree():
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_every_effect_has_defaults_that_do_something_to_both_robots(robots, name):
     for robot in (robots["mgr"], robots["mur"]):
-        plain, changed = film(session(robot)), film(session(robot, {"name": name}))
+        plain, changed = drive_session(session(robot)), drive_session(session(robot, {"name": name}))
         assert not np.array_equal(plain.pose, changed.pose)
         moved = changed.state - plain.state
         assert (name in CAMERA) == (not moved.any())
@@ -78,10 +78,10 @@ def test_every_effect_has_defaults_that_do_something_to_both_robots(robots, name
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_a_stronger_effect_does_more(robots, name):
     for robot in (robots["mgr"], robots["mur"]):
-        plain = displacements(film(session(robot)))
+        plain = displacements(drive_session(session(robot)))
 
         def size(entry, plain=plain, robot=robot):
-            change = displacements(film(session(robot, entry))) - plain
+            change = displacements(drive_session(session(robot, entry))) - plain
             change[..., 2] = wrap_angle(change[..., 2])
             scale = np.array([1.0, 1.0, 30.0])
             return np.sqrt(np.mean((change[:, :3] * scale) ** 2))
@@ -93,14 +93,17 @@ def test_a_stronger_effect_does_more(robots, name):
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_no_effect_shifts_the_other_sources_of_randomness(robots, name):
     robot = robots["mgr"]
-    plain, changed = film(session(robot, lost_poses=0.1)), film(session(robot, {"name": name}, lost_poses=0.1))
+    plain, changed = (
+        drive_session(session(robot, lost_poses=0.1)),
+        drive_session(session(robot, {"name": name}, lost_poses=0.1)),
+    )
     np.testing.assert_array_equal(plain.state[:, :, 0], changed.state[:, :, 0])
     np.testing.assert_array_equal(plain.command[:, 0], changed.command[:, 0])
     np.testing.assert_array_equal(np.isnan(plain.pose), np.isnan(changed.pose))
 
-    def camera_noise(footage):
-        seen = footage.session.conditions.seen(np.moveaxis(footage.state[:3], 0, -1))
-        noise = footage.pose - seen
+    def camera_noise(driven):
+        seen = driven.session.conditions.seen(np.moveaxis(driven.state[:3], 0, -1))
+        noise = driven.pose - seen
         return np.concatenate([noise[..., :2], wrap_angle(noise[..., 2:])], axis=-1)
 
     np.testing.assert_allclose(camera_noise(plain), camera_noise(changed), atol=1e-9)
@@ -109,33 +112,31 @@ def test_no_effect_shifts_the_other_sources_of_randomness(robots, name):
 def test_effects_combine(robots):
     robot = robots["mgr"]
     both = ({"name": "gain_change", "gain": 0.8}, {"name": "camera_scale", "scale": 1.25})
-    alone = film(session(robot, both[0]))
-    together = film(session(robot, *both))
+    alone = drive_session(session(robot, both[0]))
+    together = drive_session(session(robot, *both))
     np.testing.assert_array_equal(alone.state, together.state)
-    np.testing.assert_allclose(
-        expected_given_everything(together)[..., :2], 1.25 * expected_given_everything(alone)[..., :2], atol=2e-3
-    )
+    np.testing.assert_allclose(mean_given_state(together)[..., :2], 1.25 * mean_given_state(alone)[..., :2], atol=2e-3)
     everything = [{"name": name} for name in sorted(CATALOGUE)]
     for other in (robot, robots["mur"]):
-        footage = film(session(other, *everything, runs=3, steps=5))
-        assert np.isfinite(footage.pose).all()
-        assert np.isfinite(expected_given_everything(footage)).all()
+        driven = drive_session(session(other, *everything, runs=3, steps=5))
+        assert np.isfinite(driven.pose).all()
+        assert np.isfinite(mean_given_state(driven)).all()
 
 
 def test_an_effect_from_outside_the_catalogue_needs_no_registering(robots, monkeypatch):
     class EastWind(Effect):
         """Vehicles that look east are held back."""
 
-        def grip(self, moment, arena):
-            return 1.0 - 0.5 * (np.cos(moment.heading_rad) > 0.7)
+        def traction(self, placement, arena):
+            return 1.0 - 0.5 * (np.cos(placement.heading_rad) > 0.7)
 
-    monkeypatch.setattr(truth, "BANK_ROWS", 1024)
-    footage = film(Session(robots["mgr"], ("1",), 40, 20, 11, (EastWind(),)))
-    expected = truth.expected_given_situation(footage)
-    plain = film(Session(robots["mgr"], ("1",), 40, 20, 11))
-    ratio = np.abs(expected / truth.expected_given_situation(plain))[..., 0, 0][:, 0]
-    east = np.cos(footage.state[2, :, 0, 0]) > 0.9
-    strong = (np.abs(footage.command[:, 0, 0]) > 60).all(axis=-1)
+    monkeypatch.setattr(Physics, "bank_rows", 1024)
+    driven = drive_session(StandInSession(robots["mgr"], ("1",), 40, 20, 11, (EastWind(),)))
+    expected = mean_given_situation(driven)
+    plain = drive_session(StandInSession(robots["mgr"], ("1",), 40, 20, 11))
+    ratio = np.abs(expected / mean_given_situation(plain))[..., 0, 0][:, 0]
+    east = np.cos(driven.state[2, :, 0, 0]) > 0.9
+    strong = (np.abs(driven.command[:, 0, 0]) > 60).all(axis=-1)
     assert (ratio[east & strong] < 0.7).all()
 
 
@@ -201,7 +202,7 @@ def test_delays_together_are_no_longer_than_a_period(robots):
     def delays(*delays_s):
         return parse_effects([{"name": "command_delay", "delay_s": delay_s} for delay_s in delays_s], robots["mgr"], 1)
 
-    assert Conditions(robots["mgr"], delays(0.1, 0.1, 0.3)).delay_s == pytest.approx(0.5)
+    assert ActiveEffects(robots["mgr"], delays(0.1, 0.1, 0.3)).delay_s == pytest.approx(0.5)
     with pytest.raises(UserError) as refused:
         delays(0.3, 0.3)
     assert str(refused.value) == (

@@ -1,1 +1,5 @@
 """The dynamics models: one file a model, found by its name; each ends in the class `Config` that types its YAML."""
+
+from swarmtwin.plugins import plugin_path
+
+__path__ = plugin_path(__name__, __path__)

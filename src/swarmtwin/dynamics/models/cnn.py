@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from swarmtwin.dynamics.layers import LEAK, PointwiseConvolution
 from swarmtwin.dynamics.model_config import ModelConfig, Steps
-from swarmtwin.dynamics.scaling import ScalingMethod
+from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
 
 CHANNELS = (1, 8, 64, 96, 32)

@@ -6,7 +6,7 @@ from torch import nn
 
 from swarmtwin.dynamics.layers import normalised_layers
 from swarmtwin.dynamics.model_config import ModelConfig, Steps
-from swarmtwin.dynamics.scaling import ScalingMethod
+from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
 
 

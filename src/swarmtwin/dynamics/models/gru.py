@@ -6,7 +6,7 @@ from torch import nn
 
 from swarmtwin.dynamics.layers import RecurrentNetwork
 from swarmtwin.dynamics.model_config import ModelConfig, Steps, Width, Widths
-from swarmtwin.dynamics.scaling import ScalingMethod
+from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
 
 

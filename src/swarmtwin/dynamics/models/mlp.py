@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from torch import nn
 
 from swarmtwin.dynamics.model_config import ModelConfig, Steps, Widths
-from swarmtwin.dynamics.scaling import ScalingMethod
+from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
 
 

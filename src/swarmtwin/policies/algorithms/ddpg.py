@@ -21,9 +21,9 @@ class Config(OffPolicyConfig):
     name: Literal["ddpg"]
     exploration: Annotated[float, Field(ge=0)]
 
-    def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
+    def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return DDPG with Gaussian exploration."""
-        return DDPG(**self.common(env, seed), action_noise=gaussian(env, self.exploration))
+        return DDPG(**self.common(env, seed, device), action_noise=gaussian(env, self.exploration))
 
     def actor(self, algorithm: Any) -> nn.Module:
         """Return the actor."""

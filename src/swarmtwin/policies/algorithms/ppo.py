@@ -41,13 +41,13 @@ class Config(AlgorithmConfig):
         """Control periods between two updates."""
         return self.collected_steps
 
-    def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
+    def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return PPO."""
         return PPO(
             "MlpPolicy",
             env,
             seed=seed,
-            device="cpu",
+            device=device,
             learning_rate=self.learning_rate,
             gamma=self.gamma,
             batch_size=self.batch_size,

@@ -21,9 +21,9 @@ class Config(OffPolicyConfig):
     name: Literal["sac"]
     first_entropy_weight: Positive
 
-    def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
+    def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return SAC."""
-        return SAC(**self.common(env, seed), ent_coef=f"auto_{self.first_entropy_weight}")
+        return SAC(**self.common(env, seed, device), ent_coef=f"auto_{self.first_entropy_weight}")
 
     def actor(self, algorithm: Any) -> nn.Module:
         """Return the layers that lead to the mean action."""

@@ -27,10 +27,10 @@ class Config(OffPolicyConfig):
     target_noise: Annotated[float, Field(ge=0)]
     target_noise_limit: Annotated[float, Field(ge=0)]
 
-    def build(self, env: VecEnv, seed: int) -> BaseAlgorithm:
+    def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return TD3 with Gaussian exploration."""
         return TD3(
-            **self.common(env, seed),
+            **self.common(env, seed, device),
             action_noise=gaussian(env, self.exploration),
             policy_delay=self.policy_delay,
             target_policy_noise=self.target_noise,

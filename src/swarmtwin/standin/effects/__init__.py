@@ -1,4 +1,4 @@
-"""The effects of the catalogue (DESIGN section 8): one file each, found by its name."""
+"""The effects of the catalogue: one file each, found by its name."""
 
 import importlib
 import pkgutil
@@ -40,7 +40,7 @@ def parse_effects(entries: Sequence[Any], robot: Robot, vehicle_count: int) -> t
             raise UserError(f"effects: unknown effect {name!r}: {near_miss(name, catalogue())}")
         parameters = {key: value for key, value in entry.items() if key != "name"}
         effects.append(catalogue()[name].parse(parameters, f"effect {name!r}").on(robot, vehicle_count))
-    late_s = sum(effect.lateness_s() for effect in effects)
+    late_s = sum(effect.command_delay_s() for effect in effects)
     if late_s > robot.period_s + ROUNDING_S:
         raise UserError(
             f"effect 'command_delay': delay_s {late_s:g} is longer than the period of {robot.name!r}: "

@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from swarmtwin.robot import Robot
-from swarmtwin.standin.effect import Effect, Moment, only_for
+from swarmtwin.standin.effect import Effect, Placement, only_for
 
 
 class ActuatorAsymmetry(Effect):
@@ -24,16 +24,16 @@ class ActuatorAsymmetry(Effect):
     def on(self, robot: Robot, vehicle_count: int) -> Self:
         """Fill in the default of the robot's kind of actuator; refuse the other kind's parameter."""
         only_for("actuator_asymmetry", robot, ("ratio", self.ratio), ("angle_rad", self.angle_rad))
-        if robot.kinematics == "tail_fin":
+        if robot.actuation.kind == "thrust":
             return self.model_copy(update={"angle_rad": 0.15 if self.angle_rad is None else self.angle_rad})
         return self.model_copy(update={"ratio": 1.15 if self.ratio is None else self.ratio})
 
-    def strength(self, moment: Moment) -> np.ndarray | float:
+    def strength(self, placement: Placement) -> np.ndarray | float:
         """Make the left wheel faster by the square root of the ratio, the right one slower by as much."""
         if self.ratio is None:
             return 1.0
         root = self.ratio**0.5
-        return np.array([root, 1 / root], moment.x_mm.dtype).reshape(2, 1, 1)
+        return np.array([root, 1 / root], placement.x_mm.dtype).reshape(2, 1, 1)
 
     def trim_rad(self) -> float:
         """Turn the fin."""

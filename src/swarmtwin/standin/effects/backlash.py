@@ -22,10 +22,10 @@ class Backlash(Effect):
     def on(self, robot: Robot, vehicle_count: int) -> Self:
         """Fill in the default of the robot's kind of actuator; refuse the other kind's parameter."""
         only_for("backlash", robot, ("travel_mm", self.travel_mm), ("travel_rad", self.travel_rad))
-        if robot.kinematics == "tail_fin":
+        if robot.actuation.kind == "thrust":
             return self.model_copy(update={"travel_rad": 0.15 if self.travel_rad is None else self.travel_rad})
         return self.model_copy(update={"travel_mm": 5.0 if self.travel_mm is None else self.travel_mm})
 
-    def play(self) -> float:
+    def backlash(self) -> float:
         """Lose travel, mm or rad."""
         return self.travel_mm or self.travel_rad or 0.0

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from swarmtwin.standin.effect import Effect, Moment
+from swarmtwin.standin.effect import Effect, Placement
 
 
 class BatterySag(Effect):
@@ -21,6 +21,6 @@ class BatterySag(Effect):
     loss: Annotated[float, Field(gt=0, lt=1)] = 0.3
     shape: Annotated[float, Field(ge=0.2, le=5)] = 1.0
 
-    def strength(self, moment: Moment) -> np.ndarray:
+    def strength(self, placement: Placement) -> np.ndarray:
         """Weaken every actuator with the session's progress."""
-        return 1.0 - self.loss * moment.progress**self.shape
+        return 1.0 - self.loss * placement.progress**self.shape

@@ -16,6 +16,6 @@ class CommandDelay(Effect):
 
     delay_s: Annotated[float, Field(gt=0)] = 0.15
 
-    def lateness_s(self) -> float:
+    def command_delay_s(self) -> float:
         """Let each command arrive late."""
         return self.delay_s

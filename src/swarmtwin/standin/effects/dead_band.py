@@ -31,6 +31,6 @@ class DeadBand(Effect):
             )
         return self.model_copy(update={"width": DEFAULT_SHARE * limit if self.width is None else self.width})
 
-    def received(self, command: np.ndarray, robot: Robot) -> np.ndarray:
+    def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Leave out what is smaller than the width."""
         return change_thrust(command, robot, lambda thrust: np.where(np.abs(thrust) < self.width, 0.0, thrust))

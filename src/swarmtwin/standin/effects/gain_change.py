@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from swarmtwin.standin.effect import Effect, Moment
+from swarmtwin.standin.effect import Effect, Placement
 
 
 class GainChange(Effect):
@@ -16,6 +16,6 @@ class GainChange(Effect):
 
     gain: Annotated[float, Field(gt=0, le=3)] = 0.85
 
-    def strength(self, moment: Moment) -> float:
+    def strength(self, placement: Placement) -> float:
         """Multiply the speed of every actuator."""
         return self.gain

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
-from swarmtwin.standin.effect import Effect, Moment
+from swarmtwin.standin.effect import Effect, Placement
 
 
 class NeighbourInteraction(Effect):
@@ -27,9 +27,9 @@ class NeighbourInteraction(Effect):
             raise UserError("effect 'neighbour_interaction' needs neighbours: give two vehicles or more, vehicle=[1,2]")
         return self
 
-    def carried_mm_s(self, moment: Moment) -> tuple[np.ndarray, np.ndarray]:
+    def drift_velocity_mm_s(self, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
         """Add what all neighbours do."""
-        away_x, away_y = moment.x_mm - moment.neighbour_x_mm, moment.y_mm - moment.neighbour_y_mm
+        away_x, away_y = placement.x_mm - placement.neighbour_x_mm, placement.y_mm - placement.neighbour_y_mm
         distance_mm = np.hypot(away_x, away_y) + 1e-3
         push = self.strength_mm_s * np.exp(distance_mm * (-1.0 / self.reach_mm)) / distance_mm
         return (push * away_x).sum(axis=0), (push * away_y).sum(axis=0)

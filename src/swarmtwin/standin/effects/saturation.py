@@ -31,7 +31,7 @@ class Saturation(Effect):
             )
         return self.model_copy(update={"limit": DEFAULT_SHARE * largest if self.limit is None else self.limit})
 
-    def received(self, command: np.ndarray, robot: Robot) -> np.ndarray:
+    def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Cut what is larger than the limit."""
         limit = self.limit or thrust_limit(robot)
         return change_thrust(command, robot, lambda thrust: np.clip(thrust, -limit, limit))

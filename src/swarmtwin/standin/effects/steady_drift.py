@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from swarmtwin.standin.effect import Effect, Moment
+from swarmtwin.standin.effect import Effect, Placement
 
 
 class SteadyDrift(Effect):
@@ -19,6 +19,6 @@ class SteadyDrift(Effect):
     speed_mm_s: Annotated[float, Field(gt=0, le=100)] = 6.0
     direction_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
 
-    def carried_mm_s(self, moment: Moment) -> tuple[float, float]:
+    def drift_velocity_mm_s(self, placement: Placement) -> tuple[float, float]:
         """Add the drift."""
         return self.speed_mm_s * math.cos(self.direction_rad), self.speed_mm_s * math.sin(self.direction_rad)

@@ -1,4 +1,4 @@
-"""Another grip in a region of the arena: dust or oil on the ground, weeds in the water."""
+"""Another traction in a region of the arena: dust or oil on the ground, weeds in the water."""
 
 from typing import Annotated, Self
 
@@ -7,7 +7,7 @@ from pydantic import Field
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Arena, Robot
-from swarmtwin.standin.effect import Effect, Moment
+from swarmtwin.standin.effect import Effect, Placement
 
 
 class SurfacePatch(Effect):
@@ -17,7 +17,7 @@ class SurfacePatch(Effect):
         x_mm: the disc's centre; the arena's where none is given.
         y_mm: the disc's centre; the arena's where none is given.
         radius_mm: the disc's radius.
-        loss: share of the way that is lost there; negative where the grip is better.
+        loss: share of the way that is lost there; negative where the traction is better.
     """
 
     x_mm: float | None = None
@@ -39,7 +39,7 @@ class SurfacePatch(Effect):
             )
         return self.model_copy(update={"x_mm": centre[0], "y_mm": centre[1]})
 
-    def grip(self, moment: Moment, arena: Arena) -> np.ndarray:
+    def traction(self, placement: Placement, arena: Arena) -> np.ndarray:
         """Weaken the drive inside the disc."""
-        away_mm = np.hypot(moment.x_mm - self.x_mm, moment.y_mm - self.y_mm)
+        away_mm = np.hypot(placement.x_mm - self.x_mm, placement.y_mm - self.y_mm)
         return 1.0 - self.loss * (away_mm < self.radius_mm).astype(away_mm.dtype)

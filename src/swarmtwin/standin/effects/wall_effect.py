@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from swarmtwin.robot import Arena
-from swarmtwin.standin.effect import Effect, Moment
+from swarmtwin.standin.effect import Effect, Placement
 
 
 class WallEffect(Effect):
@@ -20,9 +20,9 @@ class WallEffect(Effect):
     loss: Annotated[float, Field(gt=0, lt=1)] = 0.5
     reach_mm: Annotated[float, Field(gt=0)] = 150.0
 
-    def grip(self, moment: Moment, arena: Arena) -> np.ndarray:
+    def traction(self, placement: Placement, arena: Arena) -> np.ndarray:
         """Weaken the drive near the walls."""
-        from_x = np.minimum(moment.x_mm - arena.x[0], arena.x[1] - moment.x_mm)
-        from_y = np.minimum(moment.y_mm - arena.y[0], arena.y[1] - moment.y_mm)
+        from_x = np.minimum(placement.x_mm - arena.x[0], arena.x[1] - placement.x_mm)
+        from_y = np.minimum(placement.y_mm - arena.y[0], arena.y[1] - placement.y_mm)
         distance_mm = np.maximum(np.minimum(from_x, from_y), 0.0)
         return 1.0 - self.loss * np.exp(distance_mm * (-1.0 / self.reach_mm))

@@ -5,16 +5,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from swarmtwin.robot import Positive, Robot
-from swarmtwin.world import sight
-from swarmtwin.world.placement import draw_apart, inner_room, room_for
-from swarmtwin.world.scene import Scene
+from swarmtwin.robot import Arena, Positive, Robot
+from swarmtwin.world import observations
+from swarmtwin.world.scenario import Scenario, draw_apart, inner_room, room_for
 from swarmtwin.world.task import Count, NotNegative, Share, Task, TaskConfig
-
-TARGET_PENALTY = 5.0
-DISTANCE_PENALTY = 20.0
-NEIGHBOUR_PENALTY = 5.0
-DENSEST_PACKING = np.pi / np.sqrt(12)
 
 
 class Collective(Task):
@@ -22,11 +16,11 @@ class Collective(Task):
 
     ends_early = False
 
-    def __init__(self, robot: Robot, config: "Config") -> None:
-        super().__init__(robot, config)
+    def __init__(self, robot: Robot, config: "Config", arena: Arena | None = None) -> None:
+        super().__init__(robot, config, arena)
         self.config: Config = config
-        names = sight.target_sight_names() + sight.neighbour_sight_names(config.vehicles - 1)
-        self.observation_names = names + (sight.wall_sight_names() if config.sees_walls else ())
+        names = observations.target_names() + observations.neighbour_names(config.vehicles - 1)
+        self.observation_names = names + (observations.wall_names() if config.sees_walls else ())
         self._check_distances()
         self._check_targets()
         self._check_room()
@@ -36,7 +30,7 @@ class Collective(Task):
         """How many targets there are, one after the other."""
         return self.config.targets
 
-    def draw(self, rng: np.random.Generator, worlds: int) -> Scene:
+    def draw(self, rng: np.random.Generator, worlds: int) -> Scenario:
         """Draw targets in the arena's inner part, starts apart from each other and out of reach of the first target."""
         targets = self._draw_targets(rng, worlds)
         around_target = np.full((worlds, 1, 3), self.config.reach_mm)
@@ -44,26 +38,34 @@ class Collective(Task):
         count, apart_mm = self.vehicles, self.config.separation_mm
         position = draw_apart(rng, count, self.start_room_mm, apart_mm, around_target)
         heading_rad = rng.uniform(-np.pi, np.pi, (worlds, count, 1))
-        return Scene.beginning(np.concatenate([position, heading_rad], axis=-1), targets)
+        return Scenario.beginning(np.concatenate([position, heading_rad], axis=-1), targets)
 
-    def observe(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Show the target, the others, nearest first, and the walls where they count."""
-        parts = [sight.target_sight(scene, pose), sight.neighbour_sight(pose, self.config.collision_mm)]
+        scaling = self.config.observation
+        parts = [
+            observations.observe_target(scenario, pose, scaling),
+            observations.observe_neighbours(pose, self.config.collision_mm, scaling),
+        ]
         if self.config.sees_walls:
-            parts.append(sight.wall_sight(pose, self.robot.arena_mm))
+            parts.append(observations.observe_walls(pose, self.arena, scaling))
         return np.concatenate(parts, axis=-1, dtype=np.float32, casting="same_kind")
 
-    def reward(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
-        """Equation (3)."""
-        target_mm = self.target_distance_mm(scene, pose)
-        near_target = target_mm < self.config.target_near_mm
-        target_reward = np.where(near_target, -TARGET_PENALTY, -DISTANCE_PENALTY * target_mm / self.config.d_max_mm)
-        near_others = (sight.between_vehicles_mm(pose) < self.config.neighbour_near_mm).sum(axis=-1)
-        return target_reward - NEIGHBOUR_PENALTY * near_others
+    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Return equation (3): what the target gives, or the distance from it, and what each near neighbour costs.
 
-    def collided(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+        r = r_target − 5 · (neighbours nearer than `neighbour_near_mm`), where r_target is −5 within `target_near_mm` of
+        the target and −20 · d / d_max at a distance d further away.
+        """
+        target_mm = self.target_distance_mm(scenario, pose)
+        near_target = target_mm < self.config.target_near_mm
+        target_reward = np.where(near_target, -5.0, -20.0 * target_mm / self.config.d_max_mm)
+        near_others = (observations.between_vehicles_mm(pose) < self.config.neighbour_near_mm).sum(axis=-1)
+        return target_reward - 5.0 * near_others
+
+    def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Two vehicles collide when their centres are nearer than `collision_mm` (the authors' code: 100 mm)."""
-        return np.any(sight.between_vehicles_mm(pose) < self.config.collision_mm, axis=-1)
+        return np.any(observations.between_vehicles_mm(pose) < self.config.collision_mm, axis=-1)
 
     def _draw_targets(self, rng: np.random.Generator, worlds: int) -> np.ndarray:
         """Draw targets (W, G, 2), each at least `targets_apart_mm` from the one before."""
@@ -77,8 +79,7 @@ class Collective(Task):
 
     @property
     def _target_room_mm(self) -> tuple[np.ndarray, np.ndarray]:
-        arena = self.robot.arena_mm
-        return inner_room(arena.low_mm, arena.high_mm, self.config.target_room)
+        return inner_room(self.arena.low_mm, self.arena.high_mm, self.config.target_room)
 
     def _check_distances(self) -> None:
         width_mm = min(self.robot.vehicle_size_mm)
@@ -104,7 +105,7 @@ class Collective(Task):
                 f"lower targets_apart_mm to {farthest_mm:.0f} or less",
             )
         around = (self.config.reach_mm / (self.config.collision_mm / 2) + 1) ** 2
-        most = int(DENSEST_PACKING * around)
+        most = int(np.pi / np.sqrt(12) * around)  # the densest packing of circles in the plane
         if self.vehicles > most:
             raise self.refusal(
                 f"{self.vehicles} vehicles can never be within {self.config.reach_mm:g} mm of a target at once without "
@@ -152,6 +153,6 @@ class Config(TaskConfig):
     targets_apart_mm: NotNegative
     sees_walls: bool
 
-    def build(self, robot: Robot) -> Collective:
-        """Return the task for a robot."""
-        return Collective(robot, self)
+    def build(self, robot: Robot, arena: Arena | None = None) -> Collective:
+        """Return the task for a robot in an arena; None: the robot's usual one."""
+        return Collective(robot, self, arena)

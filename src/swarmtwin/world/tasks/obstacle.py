@@ -4,14 +4,10 @@ from typing import Literal
 
 import numpy as np
 
-from swarmtwin.robot import Bounds, Positive, Robot
-from swarmtwin.world import sight
-from swarmtwin.world.placement import draw_apart
-from swarmtwin.world.scene import Scene
+from swarmtwin.robot import Arena, Bounds, Positive, Robot
+from swarmtwin.world import observations
+from swarmtwin.world.scenario import Scenario, draw_apart
 from swarmtwin.world.task import NotNegative, Task, TaskConfig
-
-ALONG = (0.35, 0.65)
-ASIDE = (-0.8, 0.8)
 
 
 class Obstacle(Task):
@@ -19,10 +15,10 @@ class Obstacle(Task):
 
     ends_early = True
 
-    def __init__(self, robot: Robot, config: "Config") -> None:
-        super().__init__(robot, config)
+    def __init__(self, robot: Robot, config: "Config", arena: Arena | None = None) -> None:
+        super().__init__(robot, config, arena)
         self.config: Config = config
-        self.observation_names = sight.target_sight_names() + sight.obstacle_sight_names(1)
+        self.observation_names = observations.target_names() + observations.obstacle_names(1)
         self._check_distance()
 
     @property
@@ -30,52 +26,56 @@ class Obstacle(Task):
         """Half the vehicle's larger side: nearer to an edge it touches."""
         return max(self.robot.vehicle_size_mm) / 2
 
-    def draw(self, rng: np.random.Generator, worlds: int) -> Scene:
+    def draw(self, rng: np.random.Generator, worlds: int) -> Scenario:
         """Draw a start, a target far enough away, and an obstacle across the straight line between them."""
         position = rng.uniform(*self.start_room_mm, (worlds, 2))
         around_start = np.full((worlds, 1, 3), self.config.distance_mm)
         around_start[:, 0, :2] = position
         target = draw_apart(rng, 1, self.start_room_mm, 0.0, around_start)[:, 0]
-        way = target - position
-        aside = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.hypot(way[:, 0], way[:, 1])[:, None]
+        line = target - position
+        left = np.stack([-line[:, 1], line[:, 0]], axis=-1) / np.hypot(line[:, 0], line[:, 1])[:, None]
         radius_mm = rng.uniform(*self.config.radius_mm, (worlds, 1))
-        centre = (
-            position + rng.uniform(*ALONG, (worlds, 1)) * way + rng.uniform(*ASIDE, (worlds, 1)) * radius_mm * aside
-        )
+        along = rng.uniform(*self.config.along, (worlds, 1))
+        aside = rng.uniform(*self.config.aside, (worlds, 1))
+        centre = position + along * line + aside * radius_mm * left
         heading_rad = rng.uniform(-np.pi, np.pi, (worlds, 1))
         start = np.concatenate([position, heading_rad], axis=-1)
         obstacle = np.concatenate([centre, radius_mm], axis=-1)
-        return Scene.beginning(start[:, None], target[:, None], obstacle[:, None])
+        return Scenario.beginning(start[:, None], target[:, None], obstacle[:, None])
 
-    def observe(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Show the target and the obstacle."""
-        parts = [sight.target_sight(scene, pose), sight.obstacle_sight(scene, pose, self.half_vehicle_mm)]
+        scaling = self.config.observation
+        parts = [
+            observations.observe_target(scenario, pose, scaling),
+            observations.observe_obstacles(scenario, pose, self.half_vehicle_mm, scaling),
+        ]
         return np.concatenate(parts, axis=-1, dtype=np.float32, casting="same_kind")
 
-    def reward(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Reward reaching, penalise distance, nearness to the obstacle and collision.
 
         The paper gives no formula, only that reaching is rewarded, distance and collision are penalised, and averages
         of about −0.25 a step (table 5): so the distance costs d / d_max. A collision ends the roll-out and so saves all
         further distance: its penalty must be larger than that.
         """
-        distance_mm = self.target_distance_mm(scene, pose)
-        near = (sight.edge_distance_mm(scene, pose) - self.half_vehicle_mm < self.config.near_mm).any(axis=-1)
+        distance_mm = self.target_distance_mm(scenario, pose)
+        near = (observations.edge_distance_mm(scenario, pose) - self.half_vehicle_mm < self.config.near_mm).any(axis=-1)
         return (
             self.config.reach_reward * (distance_mm <= self.config.reach_mm)
             - distance_mm / self.config.d_max_mm
             - self.config.near_penalty * near
-            - self.config.collision_penalty * self.collided(scene, pose)
+            - self.config.collision_penalty * self.collided(scenario, pose)
         )
 
-    def collided(self, scene: Scene, pose: np.ndarray) -> np.ndarray:
+    def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return whether the vehicle, taken as round, touches the obstacle."""
-        return np.any(sight.edge_distance_mm(scene, pose) < self.half_vehicle_mm, axis=-1)
+        return np.any(observations.edge_distance_mm(scenario, pose) < self.half_vehicle_mm, axis=-1)
 
     def _check_distance(self) -> None:
         low, high = self.start_room_mm
         most_mm = float(np.hypot(*(high - low))) / 2
-        needed_mm = (self.config.radius_mm[1] + self.half_vehicle_mm + self.config.clearance_mm) / ALONG[0]
+        needed_mm = (self.config.radius_mm[1] + self.half_vehicle_mm + self.config.clearance_mm) / self.config.along[0]
         if needed_mm > most_mm:
             raise self.refusal(
                 f"an obstacle of {self.config.radius_mm[1]:g} mm does not fit between start and target in the arena of "
@@ -97,6 +97,8 @@ class Config(TaskConfig):
         vehicles: one.
         distance_mm: least distance from start to target.
         radius_mm: the obstacle's radius is drawn from this range.
+        along: its centre lies within this range of shares of the straight line from start to target.
+        aside: and to the side of that line by a share of its radius in this range, left positive.
         clearance_mm: at least this much is free between the obstacle and the vehicle at the start.
         d_max_mm: a distance from the target of this much costs 1 a step.
         reach_reward: for reaching the target.
@@ -109,6 +111,8 @@ class Config(TaskConfig):
     vehicles: Literal[1]
     distance_mm: Positive
     radius_mm: Bounds
+    along: Bounds = (0.35, 0.65)
+    aside: Bounds = (-0.8, 0.8)
     clearance_mm: NotNegative
     d_max_mm: Positive
     reach_reward: NotNegative
@@ -116,6 +120,6 @@ class Config(TaskConfig):
     near_penalty: NotNegative
     collision_penalty: NotNegative
 
-    def build(self, robot: Robot) -> Obstacle:
-        """Return the task for a robot."""
-        return Obstacle(robot, self)
+    def build(self, robot: Robot, arena: Arena | None = None) -> Obstacle:
+        """Return the task for a robot in an arena; None: the robot's usual one."""
+        return Obstacle(robot, self, arena)

@@ -1,0 +1,292 @@
+"""Step 2. What a residual depends on: score tests with runs as blocks, false discoveries controlled over them all."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy import stats
+
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, LikelihoodModel
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.result import Dependence
+from swarmtwin.diagnosis.settings import DependenceSettings
+from swarmtwin.simulation.residual_model import residual_encoding
+
+
+@dataclass(frozen=True)
+class StandardisedResidual:
+    """A session's residuals, ready for tests.
+
+    Attributes:
+        session: of N transitions in R runs.
+        residual: (N, 3) standardised, clipped.
+        size: (N, 3) simulated twists over usual ones.
+        members: (M, N, 3) what the simulation's members would change of the residual; M may be 0.
+        weight: (N,) how much each transition counts.
+    """
+
+    session: MeasuredSession
+    residual: np.ndarray
+    size: np.ndarray
+    members: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(
+        cls, model: LikelihoodModel, fitted: FittedMechanisms, weight: np.ndarray | None = None
+    ) -> "StandardisedResidual":
+        """Take the residuals that fitted mechanisms leave."""
+        clip_z = model.settings.dependence.clip_z
+        clipped = np.clip(fitted.residual, -clip_z, clip_z)
+        weight = np.ones(len(clipped)) if weight is None else weight
+        return cls(model.session, clipped, model.whitener.size.numpy(), _member_changes(model), weight)
+
+
+def _member_changes(model: LikelihoodModel) -> np.ndarray:
+    """Return (M, N, 3) how standardised residuals change with single members of the simulation."""
+    session, whitener = model.session, model.whitener
+    mean = whitener(session.residual_of(model.simulated))
+    changes = [
+        (whitener(session.residual_of(model.simulated_by(member))) - mean).numpy() for member in range(model.members)
+    ]
+    return np.array(changes) if changes else np.empty((0, len(session), 3))
+
+
+def dependence_tests(
+    measured: StandardisedResidual,
+    reference: StandardisedResidual,
+    seed: int,
+    settings: DependenceSettings | None = None,
+    reference_discrepancy: bool = True,
+) -> list[Dependence]:
+    """Test what residuals depend on beyond what the reference's own residuals do.
+
+    For each part of the situation its functions, alone and times the motion, are regressed upon; the difference of the
+    coefficients to the reference's is compared with what flipping the signs of whole runs (a wild bootstrap), and
+    exchanging the simulation's members, would give. Benjamini and Hochberg (1995) over all tests; what explains too
+    small a share of the variance does not matter and is not found.
+
+    Args:
+        measured: the session's residuals.
+        reference: the reference's own.
+        seed: of the draws.
+        settings: of the tests; None: the defaults.
+        reference_discrepancy: whether a dependence that the reference shows as well is no news.
+    """
+    settings = settings or DependenceSettings()
+    rng = np.random.default_rng(seed)
+    tests = _situation_tests(measured, reference if reference_discrepancy else None, settings, rng)
+    tests = [_joined_with_runs(test, measured) if test.part == "time" else test for test in tests]
+    tests += _shape_tests(measured, reference, settings, rng)
+    return _controlled(tests, settings)
+
+
+def situation_tests(
+    measured: StandardisedResidual,
+    reference: StandardisedResidual,
+    settings: DependenceSettings,
+    rng: np.random.Generator,
+) -> list[Dependence]:
+    """Test the parts of the situation alone, false discoveries controlled over them."""
+    return _controlled(_situation_tests(measured, reference, settings, rng), settings)
+
+
+def _situation_tests(
+    measured: StandardisedResidual,
+    reference: StandardisedResidual | None,
+    settings: DependenceSettings,
+    rng: np.random.Generator,
+) -> list[Dependence]:
+    reference_functions = _functions(reference.session) if reference else {}
+    return [
+        _tested(part, functions, reference_functions.get(part), measured, reference, settings, rng)
+        for part, functions in _functions(measured.session).items()
+    ]
+
+
+def _functions(session: MeasuredSession) -> dict[str, np.ndarray]:
+    """Return for each part of the situation its functions (N, q)."""
+    conditions, pose = session.conditions, session.transitions.pose
+    encoding = residual_encoding(session.transitions.robot, conditions)
+    columns = encoding(session.situation).double().numpy()
+    command, previous, place, push = (
+        columns[:, encoding.columns_of(feature)]
+        for feature in ("command", "previous_command", "position", "neighbours")
+    )
+    time, duration = (columns[:, encoding.columns_of(feature)[0]] for feature in ("elapsed_s", "duration_s"))
+    heading = pose[:, 2]
+    wall_mm = conditions.wall_distance_mm(torch.as_tensor(pose[:, :2])).numpy()
+    least_mm = float(min(conditions.arena_mm.high_mm - conditions.arena_mm.low_mm))
+    parts = {
+        "command": _polynomials(command),
+        "previous_command": _polynomials(previous),
+        "heading": np.stack([f(k * heading) for k in (1, 2, 3, 4) for f in (np.cos, np.sin)], axis=1),
+        "position": np.concatenate([_polynomials(place), _bumps(place)], axis=1),
+        "wall_distance": np.stack([np.exp(-wall_mm / (share * least_mm)) for share in (0.05, 0.15)], axis=1),
+        "time": np.stack([*_since_start(session), time, time**2, time**3, np.sign(time), *_waves(time)], axis=1),
+    }
+    if duration.std() > 0.02:  # of a tenth of a period: below 0.2 % periods are constant
+        parts["duration"] = np.stack([duration, duration**2], axis=1)
+    if np.abs(push).max() > 0:
+        parts["neighbours"] = push
+    vehicles = np.unique(session.transitions.vehicle)
+    if len(vehicles) > 1:
+        parts["vehicle"] = (session.transitions.vehicle[:, None] == vehicles[None, 1:]).astype(float)
+    return parts
+
+
+def _polynomials(values: np.ndarray) -> np.ndarray:
+    """Return powers up to the third and products of pairs of values (N, k)."""
+    columns = [*values.T, *(values**2).T, *(values**3).T]
+    count = values.shape[1]
+    columns += [values[:, a] * values[:, b] for a in range(count) for b in range(a)]
+    return np.stack(columns, axis=1)
+
+
+def _bumps(place: np.ndarray) -> np.ndarray:
+    """Return nine Gaussian bumps (N, 9) over places (N, 2) in an arena from −1 to 1: they overlap by half."""
+    centres = np.stack(np.meshgrid([-0.6, 0.0, 0.6], [-0.6, 0.0, 0.6]), axis=-1).reshape(-1, 2)
+    distance2 = ((place[:, None] - centres) ** 2).sum(axis=-1)
+    bumps: np.ndarray = np.exp(-distance2 / (2 * 0.3**2))
+    return bumps
+
+
+def _since_start(session: MeasuredSession) -> list[np.ndarray]:
+    """Return functions of the time since each run began: decays over a few periods and over a dozen."""
+    elapsed_s, period_s = session.transitions.time_s, session.transitions.robot.period_s
+    began_s = np.full(session.runs, np.inf)
+    np.minimum.at(began_s, session.run, elapsed_s)
+    periods = (elapsed_s - began_s[session.run]) / period_s
+    return [np.exp(-periods / 3), np.exp(-periods / 12)]
+
+
+def _waves(time: np.ndarray) -> list[np.ndarray]:
+    """Return waves over the session's time (N,) from −1 to 1: half a one, a whole one, two."""
+    return [f(np.pi * k * time) for k in (1, 2, 4) for f in (np.cos, np.sin)]
+
+
+def _tested(
+    part: str,
+    functions: np.ndarray,
+    reference_functions: np.ndarray | None,
+    measured: StandardisedResidual,
+    reference: StandardisedResidual | None,
+    settings: DependenceSettings,
+    rng: np.random.Generator,
+) -> Dependence:
+    """Test one part: regressions of all three axes on its functions (N, q), less those of the reference."""
+    statistic, drawn = 0.0, np.zeros(settings.draws)
+    centre, spread = functions.mean(axis=0), np.maximum(functions.std(axis=0), 1e-9)
+    most = max(2, measured.session.runs // settings.runs_a_regressor)
+    for axis in range(3):
+
+        def regressors(values: np.ndarray, of: StandardisedResidual, axis: int = axis) -> np.ndarray:
+            alone = (values - centre) / spread
+            return np.concatenate([alone, alone * of.size[:, [axis]]], axis=1)[:, :most]
+
+        value, by_chance, information = _coefficients(regressors(functions, measured), measured, axis, settings, rng)
+        if reference and reference_functions is not None and reference_functions.shape[1] == functions.shape[1]:
+            there = regressors(reference_functions, reference)
+            other, other_by_chance, _ = _coefficients(there, reference, axis, settings, rng)
+            value, by_chance = value - other, by_chance - other_by_chance
+        statistic += float(value @ information @ value)
+        drawn += np.einsum("dp,pq,dq->d", by_chance, information, by_chance)
+    usual = float(drawn.mean())
+    shape = usual**2 / max(float(drawn.var()), 1e-12)
+    p_value = float(stats.gamma.sf(statistic, shape, scale=usual / shape))
+    explained = max(statistic - usual, 0.0) / max(float((measured.residual**2).sum()), 1e-9)
+    return Dependence(part=part, statistic=statistic, p_value=p_value, explained=explained, found=False)
+
+
+def _coefficients(
+    regressors: np.ndarray,
+    residuals: StandardisedResidual,
+    axis: int,
+    settings: DependenceSettings,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return coefficients (q,), coefficients by chance (draws, q), and their information (q, q)."""
+    weighted = regressors * residuals.weight[:, None]
+    information = regressors.T @ weighted
+    ridge = settings.ridge * np.trace(information) / len(information)
+    inverse = np.linalg.pinv(information + ridge * np.eye(len(information)))
+    by_run = residuals.session.by_run(weighted * residuals.residual[:, [axis]])
+    value = inverse @ by_run.sum(axis=0)
+    signs = rng.choice([-1.0, 1.0], (settings.draws, len(by_run)))
+    by_chance = signs @ by_run @ inverse
+    if len(residuals.members) > 1:
+        moved = np.einsum("nq,mn->mq", regressors, residuals.members[:, :, axis]) @ inverse
+        moved -= moved.mean(axis=0)
+        members = len(moved)
+        weights = rng.standard_t(members - 1, (settings.draws, members)) * np.sqrt((members - 1) / members)
+        by_chance = by_chance + weights @ moved
+    return value, by_chance, information
+
+
+def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Dependence:
+    """Join to the test of time whether runs differ: both halves of a run err in the same way, ahead or turning."""
+    session = residuals.session
+    rank = np.arange(len(session)) - np.searchsorted(session.run, session.run)
+    length = np.bincount(session.run)[session.run]
+    later = rank * 2 >= length
+    products, shared = np.zeros(session.runs), 0.0
+    for axis in (0, 2):
+        size = residuals.size[:, axis]
+        for regressor in (np.ones(len(size)), size):
+            slopes, weights = (
+                [session.by_run(values * (half == later)) for half in (False, True)]
+                for values in (regressor * residuals.residual[:, axis], regressor**2)
+            )
+            product = slopes[0] * slopes[1] / np.sqrt(np.maximum(weights[0] * weights[1], 1e-9))
+            products += product
+            shared += float(product.sum())
+    deviation = float(products.sum() / max(np.sqrt((products**2).sum()), 1e-12))
+    p_value = float(stats.norm.sf(deviation))
+    if test.p_value <= p_value:
+        return test.model_copy(update={"p_value": min(1.0, 2 * test.p_value)})
+    explained = max(shared, 0.0) * 2 / max(float((residuals.residual**2).sum()), 1e-9)
+    update = {
+        "statistic": deviation,
+        "p_value": min(1.0, 2 * p_value),
+        "explained": max(explained, test.explained),
+    }
+    return test.model_copy(update=update)
+
+
+def _shape_tests(
+    measured: StandardisedResidual,
+    reference: StandardisedResidual,
+    settings: DependenceSettings,
+    rng: np.random.Generator,
+) -> list[Dependence]:
+    """Compare spread and tails with the reference's."""
+    found = []
+    tail_z = settings.tail_z
+    for part, of in (("spread", lambda z: np.minimum(z**2, tail_z**2)), ("tails", lambda z: np.abs(z) > tail_z)):
+        figures = []
+        for residuals in (measured, reference):
+            counted = np.column_stack([of(residuals.residual).mean(axis=1), np.ones(len(residuals.residual))])
+            by_run = residuals.session.by_run(counted * residuals.weight[:, None])
+            weights = rng.multinomial(len(by_run), np.full(len(by_run), 1 / len(by_run)), settings.draws)
+            resampled = weights @ by_run
+            figures.append((by_run[:, 0].sum() / by_run[:, 1].sum(), (resampled[:, 0] / resampled[:, 1]).std()))
+        (here, error), (there, other_error) = figures
+        deviation = (here - there) / max(np.hypot(error, other_error), 1e-9)
+        p_value = float(2 * stats.norm.sf(abs(deviation)))
+        explained = float(here / max(there, 1e-9) - 1) if part == "spread" else float(here - there)
+        found.append(
+            Dependence(part=part, statistic=float(deviation), p_value=p_value, explained=explained, found=False)
+        )
+    return found
+
+
+def _controlled(tests: list[Dependence], settings: DependenceSettings) -> list[Dependence]:
+    """Mark what stands after Benjamini and Hochberg, and is large enough to be worth anyone's time."""
+    stands = stats.false_discovery_control([test.p_value for test in tests]) <= settings.false_discovery_rate
+    least = {"spread": settings.least_spread_change, "tails": settings.least_tails_change}
+    return [
+        test.model_copy(
+            update={"found": bool(stood) and abs(test.explained) >= least.get(test.part, settings.least_explained)}
+        )
+        for test, stood in zip(tests, stands, strict=True)
+    ]

@@ -1,0 +1,95 @@
+"""Step 4. How much smaller errors are with an extension than without, on runs that nothing was fitted to."""
+
+import dataclasses
+
+import numpy as np
+
+from swarmtwin.diagnosis.result import Gain, Gains
+from swarmtwin.dynamics.evaluation import predict
+from swarmtwin.geometry import orientation_error_rad, position_error_mm
+from swarmtwin.recordings.recording import Recording, Track
+from swarmtwin.simulation.open_loop import OpenLoop, open_loop
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.transitions import Transitions
+
+
+@dataclasses.dataclass(frozen=True)
+class Errors:
+    """What one simulation gets wrong of the same held-out transitions and runs.
+
+    Attributes:
+        one_step: (N, 2) position errors in mm and orientation errors in degrees.
+        open_loop: whole runs, predicted from their first pose.
+    """
+
+    one_step: np.ndarray
+    open_loop: tuple[OpenLoop, ...]
+
+    @classmethod
+    def of(cls, simulation: Simulation, transitions: Transitions, tracks: list[Track]) -> "Errors":
+        """Predict transitions one by one, and whole tracks."""
+        predicted, measured = predict(simulation, transitions), transitions.displacement
+        turned_rad = orientation_error_rad(predicted, measured)
+        one_step = np.column_stack([position_error_mm(predicted, measured), np.degrees(turned_rad)])
+        return cls(one_step, tuple(open_loop(simulation, tracks)))
+
+
+def scored_tracks(measured: Recording, believable: Transitions, scored: Transitions) -> list[Track]:
+    """Return the tracks of the scored transitions with the poses that open loop starts from and is compared with.
+
+    Open loop is compared where one-step is: at the poses that scored transitions end at. It starts from the first pose
+    of a run that some believable transition has. Poses of no transition, misread or swapped markers, are left out.
+
+    Args:
+        measured: the recording.
+        believable: all transitions made of it.
+        scored: those of them that one-step errors are measured on.
+    """
+    runs = {scored.runs[index] for index in np.unique(scored.run)}
+    tracks = []
+    for track in measured.tracks:
+        if track.run not in runs:
+            continue
+        rows = _rows_before(track, scored) + 1
+        if len(rows):
+            chosen = np.zeros(len(track), dtype=bool)
+            chosen[rows] = True
+            chosen[_rows_before(track, believable).min()] = True
+            tracks.append(dataclasses.replace(track, pose=np.where(chosen[:, None], track.pose, np.nan)))
+    return tracks
+
+
+def _rows_before(track: Track, transitions: Transitions) -> np.ndarray:
+    """Return the rows of a track that its transitions begin at; each ends at the next row."""
+    own = (transitions.run == transitions.runs.index(track.run)) & (
+        transitions.vehicle == transitions.vehicles.index(track.vehicle)
+    )
+    return np.searchsorted(track.time_s, transitions.time_s[own])
+
+
+def gains(before: Errors, after: Errors, run: np.ndarray, draws: int, rng: np.random.Generator) -> Gains:
+    """Compare errors without and with an extension, on transitions in runs (N,), with bootstraps over runs."""
+    position, orientation = (
+        _gain(before.one_step[:, axis], after.one_step[:, axis], run, draws, rng) for axis in (0, 1)
+    )
+    names = sorted({loop.track.run for loop in before.open_loop})
+    loop_run = np.array([names.index(loop.track.run) for loop in before.open_loop], dtype=int)
+    first, second = (np.array([loop.rmse_mm for loop in errors.open_loop]) for errors in (before, after))
+    known = np.isfinite(first) & np.isfinite(second)
+    return Gains(
+        position_mm=position,
+        orientation_deg=orientation,
+        open_loop_mm=_gain(first[known], second[known], loop_run[known], draws, rng),
+    )
+
+
+def _gain(before: np.ndarray, after: np.ndarray, run: np.ndarray, draws: int, rng: np.random.Generator) -> Gain:
+    if not len(before):
+        return Gain(before=0.0, after=0.0, low=0.0, high=0.0)
+    _, run = np.unique(run, return_inverse=True)
+    sums = np.zeros((int(run.max()) + 1, 2))
+    np.add.at(sums, run, np.column_stack([before - after, np.ones(len(before))]))
+    weights = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), draws)
+    drawn = weights @ sums
+    low, high = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), [0.025, 0.975])
+    return Gain(before=float(before.mean()), after=float(after.mean()), low=float(low), high=float(high))

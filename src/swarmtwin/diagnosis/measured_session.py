@@ -1,0 +1,106 @@
+"""Measured transitions as a diagnosis works on them."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from swarmtwin.geometry import log_map, rotate, wrap_angle
+from swarmtwin.learning.situation import Situation
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.transitions import Transitions
+
+
+@dataclass(frozen=True)
+class MeasuredSession:
+    """N measured transitions whose previous command is known, in R runs.
+
+    Attributes:
+        transitions: what was measured.
+        situation: what simulations look at, float64; the command before the previous one is the previous one where it
+            is not known.
+        conditions: where and how long the session took place.
+        twist: (N, 3) measured twists over one period: forward_mm, left_mm, turn_rad.
+        run: (N,) numbers from 0 in order of time: the blocks of every statistic.
+        follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
+        turned_rad: (N,) angle from the middle of that transition to the middle of this one, 0 where there is none.
+    """
+
+    transitions: Transitions
+    situation: Situation
+    conditions: SessionConditions
+    twist: Tensor
+    run: np.ndarray
+    follows: np.ndarray
+    turned_rad: Tensor
+
+    @classmethod
+    def of(cls, transitions: Transitions, conditions: SessionConditions) -> Self:
+        """Take those of the transitions whose previous command is known."""
+        known = transitions.where(np.isfinite(transitions.previous_command).all(axis=1))
+        twist = log_map(torch.as_tensor(known.displacement))
+        earlier_command = np.where(np.isfinite(known.earlier_command), known.earlier_command, known.previous_command)
+        situation = Situation(
+            command=torch.as_tensor(known.command),
+            previous_command=torch.as_tensor(known.previous_command),
+            earlier_command=torch.as_tensor(earlier_command),
+            pose=torch.as_tensor(known.pose),
+            elapsed_s=torch.as_tensor(known.time_s),
+            duration_s=torch.as_tensor(known.duration_s),
+            neighbours=torch.as_tensor(known.neighbours),
+        )
+        follows = known.just_before()
+        turn_before = twist[np.maximum(follows, 0), 2]
+        turned = torch.where(torch.as_tensor(follows >= 0), (turn_before + twist[:, 2]) / 2, torch.zeros(len(twist)))
+        _, run = np.unique(known.run, return_inverse=True)
+        return cls(known, situation, conditions, twist, run, follows, turned.double())
+
+    def __len__(self) -> int:
+        return len(self.twist)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return int(self.run.max()) + 1 if len(self.run) else 0
+
+    def where(self, chosen: np.ndarray) -> "MeasuredSession":
+        """Return the transitions chosen by a mask (N,)."""
+        return MeasuredSession.of(self.transitions.where(chosen), self.conditions)
+
+    def under(self, conditions: SessionConditions) -> "MeasuredSession":
+        """Return the same transitions under other conditions."""
+        return replace(self, conditions=conditions)
+
+    def by_run(self, values: np.ndarray) -> np.ndarray:
+        """Sum values (N, ...) over the transitions of each run, (R, ...)."""
+        total = np.zeros((self.runs, *values.shape[1:]))
+        np.add.at(total, self.run, values)
+        return total
+
+    def residual_of(self, twist: Tensor) -> Tensor:
+        """Return measured minus simulated twists (N, 3), the angle wrapped."""
+        difference = self.twist - twist
+        return torch.cat([difference[:, :2], wrap_angle(difference[:, 2:])], dim=-1)
+
+    def before(self, residual: Tensor) -> Tensor:
+        """Return the residual (N, 3) of the transition before each, turned into its frame; any where there is none."""
+        earlier = residual[np.maximum(self.follows, 0)]
+        return torch.cat([rotate(earlier[:, :2], -self.turned_rad), earlier[:, 2:]], dim=-1)
+
+    def covariate_overlap(self, other: "MeasuredSession", neighbours: int) -> np.ndarray:
+        """Return (N of other,) how often its transitions are among those nearest to ours, by commands.
+
+        With these weights `other`, the reference, stands for what it would show if it were driven as this session was.
+        """
+        robot = self.transitions.robot
+        size = np.tile(robot.command_high - robot.command_low, 2)
+
+        def commands(of: MeasuredSession) -> np.ndarray:
+            return np.concatenate([of.transitions.command, of.transitions.previous_command], axis=1) / size
+
+        count = min(neighbours, len(other))
+        _, nearest = cKDTree(commands(other)).query(commands(self), k=np.arange(1, count + 1))
+        return np.bincount(nearest.ravel(), minlength=len(other)) / count

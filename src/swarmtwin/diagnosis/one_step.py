@@ -1,0 +1,132 @@
+"""Simulations asked for what follows measured situations: the one place where the diagnosis predicts motion.
+
+It runs the simulation's own signal chain, period by period. One thing is approximated, and only here, since the present
+search asks for thousands of predictions: the state of the actuators at the start of each transition is rebuilt from the
+two commands before it, instead of carried from the start of the run, and a command is taken to have been lost at most
+twice in a row. Both go when the likelihood carries the state through whole runs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from torch import Tensor
+
+from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.geometry import compose, displacement_between, log_map
+from swarmtwin.learning.situation import Situation
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.ensemble_dynamics import OneMember
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
+from swarmtwin.simulation.residual_model import ResidualModel
+from swarmtwin.simulation.signal_chain import BaseTwists, actuator_motion, period_motion, remembered_after_long
+
+PLACES = (0, 1, 2)
+
+
+class Outcome(NamedTuple):
+    """One way in which a period can go: its probability and the measured twists (N, 3) over it."""
+
+    probability: float
+    twist: Tensor
+
+
+@dataclass(frozen=True)
+class OneStepPredictor:
+    """Predicts the N transitions of a session under mechanisms.
+
+    Attributes:
+        base: the simulation's dynamics model, or one member of it.
+        conditions: of the session.
+        situation: N measured situations, float64, whose previous and earlier commands are known.
+        answers: of the base to the commands as they were sent, from the poses as they were measured.
+    """
+
+    base: DynamicsModel
+    conditions: SessionConditions
+    situation: Situation
+    answers: dict[tuple[int, int], Tensor] = field(default_factory=dict)
+
+    def with_member(self, member: int) -> "OneStepPredictor":
+        """Return it with one member of the base in the place of the mean of all."""
+        return OneStepPredictor(OneMember(self.base, member), self.conditions, self.situation)  # type: ignore[arg-type]
+
+    def moment(self) -> Moment:
+        """Return the situations as mechanisms see them, at their measured poses."""
+        given = self.situation
+        assert given.pose is not None
+        assert given.elapsed_s is not None
+        assert given.duration_s is not None
+        assert given.neighbours is not None
+        return Moment(self.base.robot, self.conditions, given.pose, given.elapsed_s, given.duration_s, given.neighbours)
+
+    def simulated(self) -> Tensor:
+        """Return the twists (N, 3) of the base alone."""
+        moment = self.moment()
+        return BaseTwists(self.base, moment, self._commands(), self.answers).response(0)
+
+    def base_twist(self, command: Tensor, previous_command: Tensor) -> Tensor:
+        """Return the twists (N, 3) of the base alone under other commands (N, m), and others before them."""
+        return BaseTwists(self.base, self.moment(), (command, previous_command, previous_command)).response(0)
+
+    def outcomes(self, mechanisms: Sequence[Mechanism]) -> list[Outcome]:
+        """Return how each transition can go: one outcome, or where commands may be lost, three."""
+        ordered = in_signal_order(mechanisms)
+        arrives = 1.0
+        for mechanism in ordered:
+            arrives *= mechanism.arrival_probability()
+        if all(mechanism.stage != "link" or mechanism.arrival_probability() == 1 for mechanism in ordered):
+            return [Outcome(1.0, self._twist(ordered, PLACES))]
+        lost = 1.0 - arrives
+        chances = (arrives, arrives * lost, lost**2)
+        return [
+            Outcome(chance, self._twist(ordered, roles))
+            for chance, roles in zip(chances, (PLACES, (1, 1, 1), (2, 2, 2)), strict=True)
+        ]
+
+    def most_likely_twist(self, mechanisms: Sequence[Mechanism], residual: ResidualModel | None = None) -> Tensor:
+        """Return the most likely measured twists (N, 3), with what was learned beyond the mechanisms."""
+        twist = max(self.outcomes(mechanisms), key=lambda one: one.probability).twist
+        if residual is None:
+            return twist
+        command, previous, _ = self._commands()
+        return twist + residual.twist(self.moment(), command, previous)
+
+    def _commands(self) -> tuple[Tensor, Tensor, Tensor]:
+        given = self.situation
+        assert given.previous_command is not None
+        assert given.earlier_command is not None
+        return given.command, given.previous_command, given.earlier_command
+
+    def _twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int]) -> Tensor:
+        moment = self.moment()
+        measured = true = moment.pose
+        for mechanism in reversed(mechanisms):
+            true = mechanism.from_measured(true, self.conditions)
+        moved_camera = true is not measured
+        if moved_camera:
+            moment = Moment(**{**vars(moment), "pose": true})
+        sent = self._commands()
+        given = list(sent)
+        for mechanism in mechanisms:
+            given = [mechanism.transform_command(command, moment) for command in given]
+        as_sent = all(one is other for one, other in zip(given, sent, strict=True))
+        same_pose = not moved_camera or "pose" not in self.base.inputs
+        twists = BaseTwists(
+            self.base,
+            moment,
+            given,
+            self.answers if as_sent and same_pose else {},
+            roles,
+            clock_is_nominal=any(mechanism.follows_clock() for mechanism in mechanisms),
+        )
+        memory = remembered_after_long(mechanisms, twists, 2)
+        if memory:
+            memory = actuator_motion(mechanisms, twists, 1, memory).memory
+        displacement = period_motion(mechanisms, twists, memory).displacement
+        if not moved_camera:
+            return log_map(displacement)
+        end = compose(true, displacement)
+        for mechanism in mechanisms:
+            end = mechanism.to_measured(end, self.conditions)
+        return log_map(displacement_between(measured, end))

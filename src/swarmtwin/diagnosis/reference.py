@@ -1,0 +1,246 @@
+"""Step 1. What a measured session is compared with: a simulation, its own noise, and how sure it is of itself."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.noise import Noise
+from swarmtwin.diagnosis.one_step import OneStepPredictor
+from swarmtwin.diagnosis.settings import DiagnosisSettings, ReferenceSettings
+from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
+from swarmtwin.dynamics.motion_noise import MotionNoise
+from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import exp_map
+from swarmtwin.learning.ensemble import folds_of, learn
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.actuation import with_actuation
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.ensemble_dynamics import (
+    KNOWN_INPUTS,
+    BaseDynamics,
+    CorrectedDynamics,
+    CrossFitted,
+    EnsembleDynamics,
+    ensemble_encoding,
+    wall_reaches_over,
+)
+from swarmtwin.transitions import Transitions, from_recording
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A simulation and its noise, learned where nothing is wrong.
+
+    Attributes:
+        base: the simulation, in twists.
+        noise: of residuals that the simulation was not fitted to.
+        session: the reference's own transitions, and the conditions they were measured under.
+        cross_fitted: what answers these transitions, each without having seen its run.
+        vehicles: ids of the vehicles it was learned from.
+        unit_spread: by which share other vehicles are expected to differ from these (standard deviation): what the
+            robot's file states, else as these differ from each other, else the settings' prior.
+        settings: of every diagnosis with this reference.
+        reference_discrepancy: whether what the simulation gets wrong on the reference as well counts as its own
+            discrepancy, and is no gap.
+    """
+
+    base: BaseDynamics
+    noise: Noise
+    session: MeasuredSession
+    cross_fitted: CrossFitted
+    vehicles: tuple[str, ...]
+    unit_spread: float
+    settings: DiagnosisSettings
+    reference_discrepancy: bool = True
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.base.robot
+
+    @classmethod
+    def learn(
+        cls,
+        transitions: Transitions,
+        seed: int,
+        parts: tuple[SituationPart, ...] | None = None,
+        settings: DiagnosisSettings | None = None,
+    ) -> Self:
+        """Learn the simulation from a recording's transitions, cross-fitted over runs.
+
+        Args:
+            transitions: of the reference recording.
+            seed: of everything random.
+            parts: what the simulation is given; None: what the robot's models are given, and the previous command.
+                Where they are named, no discrepancy is granted: what it gets wrong of the reference is a gap as well.
+            settings: of every diagnosis with it; None: the defaults.
+
+        Raises:
+            UserError: too few runs or transitions, or constant commands.
+        """
+        settings = settings or DiagnosisSettings()
+        known = parts or tuple(
+            part for part in KNOWN_INPUTS if part in (*transitions.robot.situation, "previous_command")
+        )
+        session = MeasuredSession.of(transitions, conditions_of(transitions))
+        require_enough(session, settings.reference, "reference")
+        fold = folds_of(session.run, settings.reference.folds)
+        base = _learned_base(session, known, session.twist, fold, seed)
+        return cls._with_noise(base, session, fold, seed, settings, reference_discrepancy=parts is None)
+
+    @classmethod
+    def of_simulation(
+        cls, dynamics: NetworkDynamics, evidence: Transitions, seed: int, settings: DiagnosisSettings | None = None
+    ) -> Self:
+        """Take a trained simulation, and learn from transitions that it was not fitted to what it gets wrong already.
+
+        Args:
+            dynamics: the simulation.
+            evidence: of the recording it was learned from, or of another one in which nothing is wrong.
+            seed: of everything random.
+            settings: of every diagnosis with it; None: the defaults.
+
+        Raises:
+            UserError: the simulation looks at what a diagnosis cannot give it, or there is too little evidence.
+        """
+        settings = settings or DiagnosisSettings()
+        if strange := [part for part in dynamics.inputs if part not in KNOWN_INPUTS]:
+            raise UserError(
+                f"the simulation looks at {strange[0]}: a diagnosis works on simulations of {', '.join(KNOWN_INPUTS)}; "
+                "diagnose with the recording it was learned from instead, reference=DIR"
+            )
+        session = MeasuredSession.of(evidence, conditions_of(evidence))
+        require_enough(session, settings.reference, "simulation's evidence: the held-out part of its")
+        alone = _twist(CorrectedDynamics(dynamics, None), session)
+        fold = folds_of(session.run, settings.reference.folds)
+        parts = tuple(part for part in KNOWN_INPUTS if part in (*dynamics.inputs, "previous_command"))
+        correction = _learned_base(session, parts, session.residual_of(alone), fold, seed)
+        return cls._with_noise(CorrectedDynamics(dynamics, correction), session, fold, seed, settings)
+
+    @classmethod
+    def _with_noise(
+        cls,
+        base: BaseDynamics,
+        session: MeasuredSession,
+        fold: np.ndarray,
+        seed: int,
+        settings: DiagnosisSettings,
+        reference_discrepancy: bool = True,
+    ) -> Self:
+        """Learn the noise from what cross-fitted answers leave of the reference's own transitions."""
+        session = session.under(with_actuation(session.conditions, base, seed))
+        cross_fitted = CrossFitted(base, fold)
+        predictor = OneStepPredictor(cross_fitted, session.conditions, session.situation)
+        twist = predictor.simulated()
+        base.motion_noise = MotionNoise.estimate(session.transitions, exp_map(twist).numpy())
+        noise = Noise.learn(session.residual_of(twist), twist, session, settings.noise)
+        transitions = session.transitions
+        vehicles = tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle))
+        unit_spread = base.robot.unit_spread
+        if unit_spread is None:
+            unit_spread = estimated_unit_spread(predictor, noise, session, twist, settings.units)
+        return cls(base, noise, session, cross_fitted, vehicles, unit_spread, settings, reference_discrepancy)
+
+    def comparable(self, measured: Recording) -> "ComparableSession":
+        """Return what of a measured recording can be compared.
+
+        Raises:
+            UserError: another robot, too few runs or transitions, constant commands, or commands that the reference
+                does not cover.
+        """
+        robot = self.robot
+        if measured.robot.name != robot.name or measured.robot.command_columns != robot.command_columns:
+            raise UserError(
+                f"the measured recording is of robot {measured.robot.name!r}, the simulation of {robot.name!r}"
+            )
+        transitions, _ = from_recording(measured)
+        covered = self.covers(transitions.command)
+        conditions = self.conditions_for(transitions)
+        settings = self.settings.reference
+        require_enough(MeasuredSession.of(transitions, conditions), settings, "measured")
+        session = MeasuredSession.of(transitions.where(covered), conditions)
+        require_enough(session, settings, "measured", ", as far as the reference covers its commands,")
+        return ComparableSession(session, transitions, int((~covered).sum()))
+
+    def conditions_for(self, transitions: Transitions) -> SessionConditions:
+        """Return the conditions of another session of this robot."""
+        own = self.session.conditions
+        known = {name: getattr(own, name) for name in ("track_mm", "own_lag", "effort_exponents")}
+        return conditions_of(transitions).model_copy(update=known)
+
+    def covers(self, commands: np.ndarray) -> np.ndarray:
+        """Say which commands (N, m) the reference covers: it has enough others about as near as its own are, (N,)."""
+        settings = self.settings.reference
+        known = self.session.transitions.command
+        spread = np.maximum(known.std(axis=0), 1e-9)
+        tree = cKDTree(known / spread)
+        count = min(settings.coverage_neighbours, len(known) - 1)
+        sample = known[:: max(1, len(known) // 2000)]  # 2,000 tell a median well enough
+        own = tree.query(sample / spread, k=[count + 1])[0]
+        asked = tree.query(commands / spread, k=[count])[0][:, 0]
+        covered: np.ndarray = asked <= settings.coverage_distance * np.median(own) + 1e-9
+        return covered
+
+
+class ComparableSession(NamedTuple):
+    """What of a measured recording can be compared with a reference.
+
+    Attributes:
+        session: the transitions whose previous command is known and whose command the reference covers.
+        believable: all transitions that could be made of the recording.
+        set_aside: how many of these the reference does not cover.
+    """
+
+    session: MeasuredSession
+    believable: Transitions
+    set_aside: int
+
+
+def conditions_of(transitions: Transitions) -> SessionConditions:
+    """Return where and how long transitions were measured."""
+    lasted_s = float((transitions.time_s + transitions.duration_s).max()) if len(transitions) else 1.0
+    return SessionConditions(arena_mm=transitions.arena_mm, session_s=max(lasted_s, transitions.robot.period_s))
+
+
+def require_enough(session: MeasuredSession, settings: ReferenceSettings, what: str, remark: str = "") -> None:
+    """Refuse a session from which nothing can be concluded.
+
+    Raises:
+        UserError: too few runs or transitions, or commands that never change.
+    """
+    found = (
+        f"the {what} recording{remark} has {session.runs} runs with {len(session)} transitions that follow another one"
+    )
+    runs, transitions = settings.fewest_runs, settings.fewest_transitions
+    if session.runs < runs or len(session) < transitions:
+        raise UserError(
+            f"{found}: too few to conclude anything; record at least {runs} runs and {transitions} such "
+            "transitions (150 runs of 40 steps are comfortable)"
+        )
+    constant = np.ptp(session.transitions.command, axis=0) <= 1e-9
+    if constant.all():
+        raise UserError(
+            f"the {what} recording has one constant command throughout: nothing can be told apart; vary the commands"
+        )
+
+
+def _twist(base: DynamicsModel, session: MeasuredSession) -> Tensor:
+    """Return what a base answers to a session's situations, (N, 3)."""
+    return OneStepPredictor(base, session.conditions, session.situation).simulated()
+
+
+def _learned_base(
+    session: MeasuredSession, inputs: tuple[SituationPart, ...], twist: Tensor, fold: np.ndarray, seed: int
+) -> EnsembleDynamics:
+    """Learn twists (N, 3) from the parts of a session's situations."""
+    robot = session.transitions.robot
+    reaches_mm = wall_reaches_over(session.conditions)
+    encoding, groups = ensemble_encoding(robot, inputs, reaches_mm, session.conditions)
+    ensemble = learn(groups, encoding(session.situation).numpy(), twist.numpy(), fold, seed)
+    return EnsembleDynamics(robot, inputs, reaches_mm, session.conditions, ensemble)

@@ -1,0 +1,189 @@
+"""Step 4. What a diagnosis says, the content of `diagnosis.json`, and what its pictures need."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from swarmtwin.robot import StrictModel
+from swarmtwin.simulation.open_loop import OpenLoop
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.transitions import Transitions
+
+Verdict = Literal["explained", "no_gap", "unexplained"]
+Extension = Literal["mechanisms", "learned_residual", "mechanisms_and_learned_residual", "none"]
+
+SHAPE_TESTS = ("spread", "tails")
+"""Tests of the residual's own shape; all others are named after a part of the situation."""
+
+
+def _significant(value: float) -> float:
+    return float(f"{value:.6g}")
+
+
+Number = Annotated[float, AfterValidator(_significant)]
+"""A figure with six digits: what lies beyond differs from machine to machine, and means nothing."""
+
+
+Share = Annotated[float, Field(ge=0, le=1), AfterValidator(_significant)]
+
+
+class Estimate(StrictModel):
+    """A parameter of a mechanism, with the 95 % interval that holds the true one in 95 of 100 sessions."""
+
+    value: Number
+    low: Number
+    high: Number
+    unit: str
+
+
+class Cause(StrictModel):
+    """A named cause.
+
+    Attributes:
+        name: of the mechanism, one of the catalogue.
+        parameters: by name.
+        confidence: share of 1,000 bootstrap resamples of the runs in which this cause fits better than any other one.
+        rivals: causes that this session cannot tell from it.
+        share_of_gap: of the squared error that can be explained at all, the part that this cause explains.
+        evidence: one sentence that a person can read.
+    """
+
+    name: str
+    parameters: dict[str, Estimate]
+    confidence: Share
+    rivals: tuple[str, ...]
+    share_of_gap: Share
+    evidence: str
+
+
+class Gain(StrictModel):
+    """An error on held-out runs with the simulation as it was and as it is extended.
+
+    Attributes:
+        before: of the simulation.
+        after: of the extended simulation; the same as before where nothing was extended.
+        low: lower end of the 95 % interval of before − after, by bootstrap over runs.
+        high: its upper end.
+    """
+
+    before: Number
+    after: Number
+    low: Number
+    high: Number
+
+
+class Gains(StrictModel):
+    """The gain on runs that nothing was fitted to, always in three figures."""
+
+    position_mm: Gain
+    orientation_deg: Gain
+    open_loop_mm: Gain
+
+
+class Dependence(StrictModel):
+    """One test of what the residual depends on.
+
+    Attributes:
+        part: of the situation: command, previous_command, heading, position, wall_distance, time, duration, neighbours,
+            vehicle; or of the residual's own shape: spread, tails.
+        statistic: of the test.
+        p_value: chance of one as large where nothing depends on it; runs are the blocks.
+        explained: share of the residual's variance that goes with it; how much wider than the reference's for spread
+            and tails.
+        found: whether it stands after control of the false discovery rate over all tests, and matters.
+    """
+
+    part: str
+    statistic: Number
+    p_value: Share
+    explained: Number
+    found: bool
+
+
+class NextRecording(StrictModel):
+    """The drive that would separate rivals.
+
+    Attributes:
+        separates: names of the causes it tells apart.
+        drive: name of a CSV file beside `diagnosis.json` with the robot's command columns, for `record drive=FILE`.
+        runs: how many runs.
+        steps: transitions in a run.
+        expected_nats: expected log-likelihood ratio between the two best rivals after it, in nats; 5 decides.
+        command: how to record it, for a person.
+    """
+
+    separates: tuple[str, ...]
+    drive: str
+    runs: int
+    steps: int
+    expected_nats: Number
+    command: str
+
+
+class DiagnosisResult(StrictModel):
+    """The content of `diagnosis.json`.
+
+    Attributes:
+        verdict: `explained`: the causes explain what can be explained; `no_gap`: nothing is wrong; `unexplained`:
+            something is wrong that the catalogue does not explain, or not all of it.
+        causes: by share of the gap, largest first.
+        depends_on: what the simulation's residual depends on, also where no cause explains it.
+        gain: on held-out runs.
+        next_recording: where rivals cannot be told apart.
+        left_over: what the extended simulation's residual still depends on.
+        tests: every test of the simulation's residual.
+        robot: its name.
+        vehicles: ids of the measured vehicles.
+        runs: measured runs: fitted to, held out.
+        transitions: measured transitions: used, set aside because the reference never saw such commands.
+        extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
+        seed: of everything random.
+        format: changes when older versions cannot read the file.
+    """
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    depends_on: tuple[str, ...]
+    gain: Gains
+    next_recording: NextRecording | None
+    left_over: tuple[str, ...]
+    tests: tuple[Dependence, ...]
+    robot: str
+    vehicles: tuple[str, ...]
+    runs: dict[str, int]
+    transitions: dict[str, int]
+    extension: Extension
+    seed: int
+    format: Literal[1] = 1
+
+
+@dataclass(frozen=True)
+class DiagnosedSession:
+    """A diagnosis with the session that it was made of.
+
+    Attributes:
+        result: what it says.
+        simulation: the simulation that was examined.
+        extended: the simulation with the mechanisms found, or with a learned residual; None where nothing is wrong.
+        transitions: the N measured transitions that were looked at.
+        held_out: (N,) those that nothing was fitted to.
+        residual_before: (N, 3) measured minus simulated displacement (forward, left, turn), each divided by the
+            reference's own noise there: about 1 in size where nothing is wrong.
+        residual_after: (N, 3) likewise, of the extended simulation; the same array where there is none.
+        runs_before: held-out runs predicted open loop by the simulation.
+        runs_after: the same runs predicted by the extended simulation.
+        next_drive: (P, m) commands that would separate rivals, None where that is not needed.
+    """
+
+    result: DiagnosisResult
+    simulation: Simulation
+    extended: Simulation | None
+    transitions: Transitions
+    held_out: np.ndarray
+    residual_before: np.ndarray
+    residual_after: np.ndarray
+    runs_before: tuple[OpenLoop, ...]
+    runs_after: tuple[OpenLoop, ...]
+    next_drive: np.ndarray | None

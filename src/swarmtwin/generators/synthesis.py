@@ -1,0 +1,85 @@
+"""From real transitions to synthetic ones: a generator learns, draws, and is compared with what it has not seen."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from swarmtwin.files import folder_digest, write_text
+from swarmtwin.generators.generator import Generator, GeneratorConfig
+from swarmtwin.generators.generator_folder import Lineage, save_generator
+from swarmtwin.generators.quality import Quality, Sets, assess
+from swarmtwin.generators.quality_plots import quality_figure, training_figure
+from swarmtwin.generators.sampling import Drawn, draw_believable
+from swarmtwin.generators.training import Record, Report, fit
+from swarmtwin.learning.trainer import Device
+from swarmtwin.transitions import Preparation, Transitions, first_runs
+from swarmtwin.transitions.preparation import save_preparation
+from swarmtwin.transitions.transitions import Split
+
+GENERATOR, TRANSITIONS = "generator", "transitions"
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A trained generator, how its training went, what was drawn from it, and how good that is."""
+
+    generator: Generator
+    history: list[Record]
+    lineage: Lineage
+    drawn: Drawn
+    sets: Sets
+    quality: Quality
+
+
+def synthesise(
+    transitions: Transitions,
+    preparation: Preparation,
+    config: GeneratorConfig,
+    seed: int,
+    *,
+    real: int | None,
+    count: int | None,
+    report: Report | None,
+    device: Device = "cpu",
+) -> Synthesis:
+    """Train, draw, and compare with real transitions that the generator has not seen.
+
+    Args:
+        transitions: real ones, with their splits.
+        preparation: how they came about.
+        config: of the generator.
+        seed: of training and of drawing.
+        real: how many of them to learn from, the first runs; None: all.
+        count: how many to draw; None: as many as were learned from.
+        report: called with each record of the training.
+        device: where to train.
+    """
+    learned_from = first_runs(transitions, real) if real else transitions
+    generator, history = fit(learned_from, config, seed, report, device)
+    lineage = Lineage.of(preparation, learned_from, seed)
+    drawn = draw_believable(generator, count or lineage.real_transitions, seed)
+    split: Split = "test" if len(transitions.part("test")) else "validation"
+    rows = generator.columns.rows
+    sets = Sets(drawn.rows, rows(learned_from.part("train")), rows(transitions.part(split)))
+    quality = assess(generator.columns, sets, split, drawn.redrawn_share, seed)
+    return Synthesis(generator, history, lineage, drawn, sets, quality)
+
+
+def save_synthesis(folder: Path, made: Synthesis, seed: int) -> None:
+    """Save the generator, what it drew, how good that is, and how it learned, with pictures."""
+    (folder / GENERATOR).mkdir()
+    save_generator(folder / GENERATOR, made.generator, made.lineage, made.quality)
+    save_drawn(folder / TRANSITIONS, folder / GENERATOR, made.generator, made.lineage, made.drawn, seed)
+    write_text(folder / "quality.json", made.quality.model_dump_json(indent=1) + "\n")
+    title = f"{made.generator.columns.robot.title}: synthetic transitions by {made.generator.config.name}"
+    quality_figure(made.generator.columns, made.sets, made.quality, title).savefig(folder / "quality.png")
+    pd.DataFrame(made.history).to_csv(folder / "history.csv", index=False, float_format="%.6g")
+    training_figure(made.history).savefig(folder / "history.png")
+
+
+def save_drawn(folder: Path, source: Path, generator: Generator, lineage: Lineage, drawn: Drawn, seed: int) -> None:
+    """Write what was drawn from the generator, which lies in `source`, with its lineage."""
+    folder.mkdir()
+    name, digest = generator.config.name, folder_digest(source)
+    save_preparation(folder, *lineage.synthetic(generator.columns, drawn, name, digest, seed))

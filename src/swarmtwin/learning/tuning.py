@@ -1,0 +1,179 @@
+"""An Optuna study that processes share, and what it was made for."""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import optuna
+from optuna.storages import BaseStorage, JournalStorage, RDBStorage
+from optuna.storages.journal import JournalFileBackend
+from optuna.trial import TrialState
+from pydantic import Field, model_validator
+from sqlalchemy.exc import SQLAlchemyError
+
+from swarmtwin.errors import UserError
+from swarmtwin.robot import StrictModel
+
+MADE_FOR = "made_for"
+DONE = (TrialState.COMPLETE, TrialState.FAIL)
+
+
+def identity(parts: Mapping[str, Any]) -> dict[str, str]:
+    """Return a digest of each part of what a study is made for."""
+    texts = {name: json.dumps(part, sort_keys=True) for name, part in parts.items()}
+    return {name: hashlib.sha256(text.encode()).hexdigest()[:8] for name, text in texts.items()}
+
+
+@dataclass(frozen=True)
+class SharedStudy:
+    """A study that processes share.
+
+    Attributes:
+        name: its name.
+        storage: the journal file or database that holds it.
+        made_for: digests by name of all that its trials have in common; trials of anything else are no part of it.
+    """
+
+    name: str
+    storage: str
+    made_for: Mapping[str, str]
+
+    @classmethod
+    def named(cls, name: str | None, prefix: str, storage: str | None, made_for: Mapping[str, str]) -> "SharedStudy":
+        """Fill in the name, `prefix` and a digest, and the storage, where they are left open."""
+        name = name or f"{prefix}-{identity({'study': dict(made_for)})['study']}"
+        return cls(name, storage or f"outputs/tune/{name}.journal", made_for)
+
+    @property
+    def place(self) -> str:
+        """The storage as a person may see it, without a database's password."""
+        return re.sub(r"(://[^:/@]*):[^@/]*@", r"\1:***@", self.storage)
+
+    def open(self, sampler: optuna.samplers.BaseSampler | None = None) -> optuna.Study:
+        """Open the study, made on the way if there is none.
+
+        Args:
+            sampler: draws the values of its trials.
+
+        Raises:
+            UserError: the storage cannot be opened, or the study was made for something else.
+        """
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
+        try:
+            study = optuna.create_study(
+                storage=self._storage(),
+                study_name=self.name,
+                sampler=sampler,
+                direction="minimize",
+                load_if_exists=True,
+            )
+            known, begun = study.user_attrs.get(MADE_FOR), bool(study.get_trials(deepcopy=False))
+            if known is None and not begun:
+                study.set_user_attr(MADE_FOR, dict(self.made_for))
+                return study
+        except (OSError, ImportError, ValueError, LookupError, SQLAlchemyError, optuna.exceptions.OptunaError) as error:
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            raise UserError(
+                f"storage {self.place} cannot be opened ({reason}): name a journal file, or a database by its URL, "
+                "sqlite:///study.db"
+            ) from None
+        if other := [part for part, digest in self.made_for.items() if (known or {}).get(part) != digest]:
+            raise UserError(
+                f"study {self.name!r} in {self.place} was made for another {', '.join(other)}: choose another "
+                "study=..., or leave it out"
+            )
+        return study
+
+    def _storage(self) -> BaseStorage:
+        if "://" in self.storage:
+            return RDBStorage(self.storage)
+        file = Path(self.storage).absolute()  # its lock is a link to it, and would dangle if this were relative
+        if file.is_dir():
+            raise IsADirectoryError("it is a folder")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        return JournalStorage(JournalFileBackend(str(file)))
+
+
+def complete_trials(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
+    """Return the trials that gave a loss."""
+    return study.get_trials(states=[TrialState.COMPLETE])
+
+
+def trials_done(study: optuna.Study) -> int:
+    """Count the trials that came to an end, well or badly; not those that run, or that a kill left behind."""
+    return len(study.get_trials(deepcopy=False, states=DONE))
+
+
+# An option may refuse the bound itself, as a rate must be above 0: it is never drawn. What lies so far inside counts.
+INSIDE = 1e-9
+
+
+class Range(StrictModel):
+    """Where to search one option: between two numbers, or among choices."""
+
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    choices: Annotated[tuple[bool | int | float | str, ...], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.low is None) != (self.high is None) or (self.choices is None) == (self.low is None):
+            raise ValueError("give low and high, or choices")
+        if self.low is not None and self.high is not None:
+            if not self.low < self.high:
+                raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
+            if self.log and self.low <= 0:
+                raise ValueError(f"log needs a low above 0, got {self.low:g}")
+        return self
+
+    def suggest(self, trial: optuna.Trial, name: str, whole: bool) -> Any:
+        """Let Optuna choose a value; a `whole` number where the option takes no other."""
+        if self.choices is not None:
+            return trial.suggest_categorical(name, self.choices)
+        assert self.low is not None
+        assert self.high is not None
+        if whole:
+            return trial.suggest_int(name, int(self.low), int(self.high), log=self.log)
+        return trial.suggest_float(name, self.low, self.high, log=self.log)
+
+    def takes_whole_numbers(self, name: str, check: Callable[[Any], Any]) -> bool:
+        """Return whether option `name` takes whole numbers alone; `check` raises UserError for values that it refuses.
+
+        Raises:
+            UserError: the option refuses a choice, or what lies within the range.
+        """
+        if self.choices is not None:
+            for choice in self.choices:
+                check(choice)
+            return False
+        assert self.low is not None
+        assert self.high is not None
+        if _accepts(check, _between_whole_numbers(self.low, self.high)):
+            for share in (INSIDE, 1 - INSIDE):
+                check(self.low + share * (self.high - self.low))
+            return False
+        if not (self.low.is_integer() and self.high.is_integer()):
+            check(math.ceil(self.low))
+            raise UserError(f"{name} takes whole numbers: give such as low and high")
+        check(int(self.low))
+        check(int(self.high))
+        return True
+
+
+def _accepts(check: Callable[[Any], Any], value: Any) -> bool:
+    try:
+        check(value)
+    except UserError:
+        return False
+    return True
+
+
+def _between_whole_numbers(low: float, high: float) -> float:
+    """Return a number from `low` to `high` that is not whole."""
+    return low + (min(high, math.floor(low) + 1) - low) / 2

@@ -1,0 +1,57 @@
+"""The folder that learning a policy leaves: the policy, the evaluations of all seeds, how they learned."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from swarmtwin.dynamics.model_folder import read_description
+from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.files import folder_digest, write_text
+from swarmtwin.policies.policy_folder import PolicyProvenance, SeedOutcome, SimulationOrigin, save_policy
+from swarmtwin.policies.reward_plots import history_figure
+from swarmtwin.policies.training import (
+    PolicyJob,
+    SeedResult,
+    best_of,
+    policy_of,
+)
+from swarmtwin.world.task import Task
+
+
+def origin_of(source: str, simulation: Path) -> SimulationOrigin:
+    """Describe the simulation that a policy is learned in, by the name it was given and its folder."""
+    provenance = Provenance.read(simulation)
+    return SimulationOrigin(
+        source=source,
+        model=read_description(simulation).model["name"],
+        digest=folder_digest(simulation),
+        recording=provenance.recording,
+        origin=provenance.origin,
+    )
+
+
+def save_learned(
+    folder: Path, task: Task, job: PolicyJob, results: Sequence[SeedResult], origin: SimulationOrigin
+) -> PolicyProvenance:
+    """Save the best seed's policy, the evaluations of all seeds and how they learned; return where it comes from."""
+    best = best_of(results)
+    outcomes = [SeedOutcome(seed=result.seed, best=result.best, failed=result.failed) for result in results]
+    provenance = PolicyProvenance(
+        simulation=origin,
+        algorithm=job.algorithm.model_dump(mode="json"),
+        schedule=job.schedule.model_dump(mode="json"),
+        seed=best.seed,
+        seeds=tuple(outcomes),
+    )
+    save_policy(folder, policy_of(task, job.algorithm, best), task.config, task.arena, provenance)
+    metrics = {
+        "evaluation": provenance.evaluation.model_dump(),
+        "seeds": {str(outcome.seed): outcome.best.model_dump() if outcome.best else None for outcome in outcomes},
+    }
+    write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
+    history = [{"seed": result.seed, **evaluation.model_dump()} for result in results for evaluation in result.history]
+    pd.DataFrame(history).to_csv(folder / "history.csv", index=False, float_format="%.5f")
+    history_figure(results).savefig(folder / "history.png")
+    return provenance

@@ -1,0 +1,185 @@
+"""A policy as a folder: a description to read, weights that nothing executable can hide in, and the same as ONNX."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from swarmtwin.errors import UserError
+from swarmtwin.files import write_text
+from swarmtwin.learning.weights import load_weights, not_belonging, read_description, save_weights
+from swarmtwin.policies.onnx_export import ONNX, write_onnx
+from swarmtwin.policies.policy import Architecture, Policy
+from swarmtwin.policies.rollout_comparison import Evaluation
+from swarmtwin.robot import Arena, CommandColumn, Robot, StrictModel
+from swarmtwin.world.task import Task, TaskConfig, task_config
+
+
+class SimulationOrigin(StrictModel):
+    """The dynamics model that a policy was learned in.
+
+    Attributes:
+        source: how it was named: a folder, or models:/NAME/VERSION.
+        model: the kind of model.
+        digest: identifies its content.
+        recording: name of the recording it was trained on.
+        origin: whether its transitions were real, synthetic or mixed.
+    """
+
+    source: str
+    model: str
+    digest: str
+    recording: str
+    origin: str
+
+
+class SeedOutcome(StrictModel):
+    """What came of one seed: its best evaluation, and why it cannot be used, if it cannot."""
+
+    seed: int
+    best: Evaluation | None
+    failed: str | None
+
+
+class PolicyProvenance(StrictModel):
+    """What `policy.yaml` says of a policy's origin.
+
+    Attributes:
+        simulation: the model it was learned in.
+        algorithm: how it was learned, all values.
+        schedule: how long, and how it was evaluated.
+        seed: the seed chosen, best in the evaluation scenarios.
+        seeds: what came of each.
+    """
+
+    simulation: SimulationOrigin
+    algorithm: dict[str, Any]
+    schedule: dict[str, Any]
+    seed: int
+    seeds: tuple[SeedOutcome, ...]
+
+    @property
+    def evaluation(self) -> Evaluation:
+        """How good the policy was in the evaluation scenarios."""
+        best = next(outcome for outcome in self.seeds if outcome.seed == self.seed).best
+        assert best is not None
+        return best
+
+    def tags(self, task: str) -> dict[str, str]:
+        """Return what people should read beside a registered version: the task, and how good it was in simulation."""
+        return {
+            "task": task,
+            "algorithm": str(self.algorithm["name"]),
+            "simulation": f"{self.simulation.model} ({self.simulation.origin})",
+            "success": f"{self.evaluation.success:.3f}",
+            "reward": f"{self.evaluation.reward:.3f}",
+        }
+
+
+DESCRIPTION = "policy.yaml"
+REMEDY = "learn the policy anew"
+
+
+class Description(StrictModel):
+    """The content of `policy.yaml`.
+
+    Attributes:
+        format: changes when older versions cannot read the folder.
+        robot: the robot, in full.
+        task: what the policy was learned for, in full.
+        observation: what the numbers of an observation are, in order.
+        architecture: of its network.
+        command: the limits that the network's outputs −1 and 1 stand for.
+        arena_mm: where the policy learned to move; None in folders of before: the robot's usual arena.
+        provenance: where the policy comes from.
+    """
+
+    format: Literal[1] = 1
+    robot: Robot
+    task: dict[str, Any]
+    observation: tuple[str, ...]
+    architecture: Architecture
+    command: dict[str, CommandColumn]
+    arena_mm: Arena | None = None
+    provenance: PolicyProvenance
+
+
+class StoredPolicy:
+    """A policy that was loaded, with what its folder says of it.
+
+    Attributes:
+        folder: where it was loaded from.
+        policy: the policy, ready to act.
+        robot: whose vehicles it commands.
+        task: what it was learned for.
+        arena: where it learned to move.
+        provenance: where it comes from.
+    """
+
+    def __init__(
+        self, folder: Path, policy: Policy, task: TaskConfig, arena: Arena, provenance: PolicyProvenance
+    ) -> None:
+        self.folder = folder
+        self.policy = policy
+        self.robot = policy.robot
+        self.task = task
+        self.arena = arena
+        self.provenance = provenance
+
+    def build_task(self) -> Task:
+        """Return the task that the policy was learned for."""
+        return self.task.build(self.robot, self.arena)
+
+
+def save_policy(folder: Path, policy: Policy, task: TaskConfig, arena: Arena, provenance: PolicyProvenance) -> None:
+    """Write a policy into an existing `folder`, as safetensors and as ONNX.
+
+    Raises:
+        UserError: its outputs are not finite, or ONNX computes others.
+    """
+    description = Description(
+        robot=policy.robot,
+        task=task.model_dump(mode="json"),
+        observation=policy.observation_names,
+        architecture=policy.architecture,
+        command=policy.robot.command,
+        arena_mm=arena,
+        provenance=provenance,
+    )
+    write_onnx(folder / ONNX, policy)
+    save_weights(folder, policy.state_dict())
+    write_text(folder / DESCRIPTION, yaml.safe_dump(description.model_dump(mode="json"), sort_keys=False))
+
+
+def load_policy(folder: Path, robot: Robot | None = None) -> StoredPolicy:
+    """Load a policy, of `robot` where one is given; nothing in the folder is executed.
+
+    Raises:
+        UserError: a file is missing, damaged, does not belong to the other, or the policy is of another robot.
+    """
+    folder = Path(folder)
+    path = folder / DESCRIPTION
+    description = Description.parse(read_description(path, "policy", "learn", REMEDY), str(path))
+    if robot is not None:
+        _check_robot(folder, description.robot, robot)
+    task = task_config(description.task, f"{path}: task")
+    arena = description.arena_mm or description.robot.arena_mm
+    observed = task.build(description.robot, arena).observation_names
+    if observed != description.observation:
+        raise UserError(
+            f"{path}: the policy looks at {len(description.observation)} numbers that are not the {len(observed)} that "
+            f"its task {task.name!r} shows: {REMEDY}"
+        )
+    weights = load_weights(folder, REMEDY)
+    try:
+        policy = Policy.with_weights(description.robot, description.observation, description.architecture, weights)
+    except RuntimeError:  # names or shapes differ
+        raise not_belonging(folder, DESCRIPTION, REMEDY) from None
+    return StoredPolicy(folder, policy, task, arena, description.provenance)
+
+
+def _check_robot(folder: Path, found: Robot, wanted: Robot) -> None:
+    if found.name != wanted.name:
+        raise UserError(f"{folder} is a policy of robot {found.name!r}: add robot={found.name}")
+    if (found.command, found.period_s) != (wanted.command, wanted.period_s):
+        raise UserError(f"{folder} was learned for other commands or another period than conf/robot states: {REMEDY}")

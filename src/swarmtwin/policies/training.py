@@ -1,0 +1,297 @@
+"""Learns a policy with one seed: spans of training, each followed by an evaluation and a checkpoint."""
+
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import torch
+from pydantic import Field
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
+
+from swarmtwin.errors import UserError
+from swarmtwin.learning.parallel import run_side_by_side
+from swarmtwin.learning.trainer import Device, one_thread, torch_device
+from swarmtwin.policies.algorithm import AlgorithmConfig
+from swarmtwin.policies.checkpoint import (
+    algorithm_state,
+    global_rng_kept,
+    pack,
+    read_checkpoint,
+    restore_algorithm,
+    unpack,
+    write_checkpoint,
+)
+from swarmtwin.policies.policy import Policy
+from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
+from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.simulation.simulation_folder import load_simulation
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.rollout import play, roll_out
+from swarmtwin.world.task import Task, TaskConfig
+from swarmtwin.world.world import World
+
+log = logging.getLogger(__name__)
+
+LearningReport = Callable[[int, int, Evaluation | None], None]
+"""Called now and then with the seed, the control periods done, and the last evaluation."""
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class Schedule(StrictModel):
+    """How long to learn, and how often to look how well.
+
+    Attributes:
+        steps: control periods of all worlds.
+        evaluate_every: control periods from one evaluation and checkpoint to the next.
+        scenes: scenarios in which each evaluation rolls the policy out, the same ones for every seed.
+    """
+
+    steps: Count
+    evaluate_every: Count
+    scenes: Count
+
+
+class SeedResult(NamedTuple):
+    """What came of one seed.
+
+    Attributes:
+        seed: the seed.
+        history: the evaluations.
+        weights: of the best policy, by name; the best is that of most success, then of the highest reward.
+        best: its evaluation; None where training diverged before the first.
+        failed: why the policy cannot be used; None for one that can.
+    """
+
+    seed: int
+    history: tuple[Evaluation, ...]
+    weights: dict[str, np.ndarray]
+    best: Evaluation | None
+    failed: str | None
+
+
+class PolicyJob(NamedTuple):
+    """One seed to learn with.
+
+    Attributes:
+        robot: whose vehicles learn.
+        task: what they learn.
+        algorithm: how they learn.
+        schedule: how long they learn.
+        simulation: folder of the simulation that moves them.
+        digest: of that simulation.
+        seed: of everything random.
+        checkpoint: the file from which an interrupted training continues, written after each evaluation.
+        sampled: whether their motion is drawn or the most likely one; None: as `SimulatedMotion` chooses.
+        device: where the networks are trained.
+    """
+
+    robot: Robot
+    task: TaskConfig
+    algorithm: AlgorithmConfig
+    schedule: Schedule
+    simulation: Path
+    digest: str
+    seed: int
+    checkpoint: Path | None
+    sampled: bool | None = None
+    device: Device = "auto"
+
+    def run(self, report: LearningReport | None) -> SeedResult:
+        """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
+        with one_thread(), global_rng_kept():
+            return Learner(self).learn(report)
+
+    @property
+    def identity(self) -> str:
+        """Tells apart trainings that may not continue each other."""
+        parts = (self.robot, self.task, self.algorithm, self.schedule)
+        settings = [part.model_dump(mode="json") for part in parts]
+        others = [self.digest, self.seed, self.sampled, torch_device(self.device).type]
+        return hashlib.sha256(json.dumps([*settings, *others]).encode()).hexdigest()
+
+
+class Learner:
+    """One training: its world, its algorithm, and what has come of it so far."""
+
+    def __init__(self, job: PolicyJob) -> None:
+        self.job = job
+        self.simulation = load_simulation(job.simulation).to(torch_device(job.device))
+        self.task = job.task.build(job.robot, self.simulation.conditions.arena_mm)
+        worlds = job.algorithm.worlds
+        self.motion = SimulatedMotion(self.simulation, worlds, self.task.vehicles, job.sampled, job.seed)
+        self.env = SharedPolicyEnv(World(self.task, self.motion, worlds, job.seed), reward_scale=1.0)
+        self.algorithm = job.algorithm.build(self.env, job.seed, torch_device(job.device).type)
+        self.algorithm.set_logger(Logger(folder=None, output_formats=[]))
+        self.scenarios = draw_scenarios(self.task, job.schedule.scenes, "evaluation", seed=0)
+        self.history: list[Evaluation] = []
+        self.best: Evaluation | None = None
+        self.weights: dict[str, torch.Tensor] = {}
+        self.diverged = False
+
+    @property
+    def policy(self) -> Policy:
+        """The policy as it is now."""
+        algorithm = self.job.algorithm
+        layers = algorithm.layers_of(self.algorithm)
+        return Policy.of_layers(self.job.robot, self.task.observation_names, algorithm.architecture, layers)
+
+    @property
+    def steps_done(self) -> int:
+        """Control periods trained."""
+        return self.algorithm.num_timesteps // self.env.num_envs
+
+    def learn(self, report: LearningReport | None) -> SeedResult:
+        """Learn to the end of the schedule, from the checkpoint if there is one."""
+        if not self._continue():
+            self.scale_rewards()
+            self.env.begin()
+        while not self.diverged and self.steps_done < self.job.schedule.steps:
+            self._train_until_next_evaluation(report)
+            self._write_checkpoint()
+        weights = {name: tensor.numpy().copy() for name, tensor in self.weights.items()}
+        return SeedResult(self.job.seed, tuple(self.history), weights, self.best, self._why_failed())
+
+    def scale_rewards(self) -> None:
+        """Scale rewards by those of random play (as the authors' code does); let critics begin with its value."""
+        robot, algorithm, world = self.job.robot, self.job.algorithm, self.env.world
+        rng = np.random.default_rng([self.job.seed, 1])
+        played = roll_out(world, lambda _: rng.uniform(robot.command_low, robot.command_high, world.shape))
+        reward = float(played.mean_reward.mean())
+        self.env.reward_scale = max(abs(reward), 1e-6) / algorithm.reward_size  # never a division by zero
+        algorithm.expect(self.algorithm, reward / self.env.reward_scale / (1.0 - algorithm.gamma))
+
+    def _train_until_next_evaluation(self, report: LearningReport | None) -> None:
+        schedule, seed = self.job.schedule, self.job.seed
+        left = min(schedule.evaluate_every, schedule.steps - self.steps_done)
+        at_a_time = self.job.algorithm.steps_at_a_time
+        steps = math.ceil(left / at_a_time) * at_a_time
+        last = self.history[-1] if self.history else None
+        callback = _ReportProgress(lambda done: report(seed, done, last), schedule.steps) if report else None
+        try:
+            self.algorithm.learn(steps * self.env.num_envs, callback, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
+        except (DivergedError, ValueError):
+            if self._is_finite():
+                raise
+        if not self._is_finite():
+            self.diverged = True
+            return
+        self._evaluate()
+        if report:
+            report(seed, self.steps_done, self.history[-1])
+
+    def _evaluate(self) -> None:
+        """Roll the policy out from the evaluation scenarios; what is drawn there is the same every time."""
+        policy = self.policy
+        motion = SimulatedMotion(self.simulation, len(self.scenarios), self.task.vehicles, self.job.sampled, seed=0)
+        evaluation = Evaluation.of(self.steps_done, play(self.task, motion, self.scenarios, policy.act))
+        self.history.append(evaluation)
+        if self.best is None or evaluation.rank > self.best.rank:
+            self.best = evaluation
+            self.weights = dict(policy.state_dict())
+
+    def _is_finite(self) -> bool:
+        return all(bool(weights.isfinite().all()) for weights in self.policy.parameters())
+
+    def _why_failed(self) -> str | None:
+        if self.diverged:
+            return "its weights were no longer finite"
+        if self.best is not None and self.best.success == 0:
+            return "it never succeeded in the evaluation scenarios"
+        return None
+
+    def _continue(self) -> bool:
+        """Continue from the checkpoint; return whether there was one."""
+        kept = read_checkpoint(self.job.checkpoint, self.job.identity, self.job.seed)
+        if not kept:
+            return False
+        self.history = [Evaluation(**evaluation) for evaluation in kept["history"]]
+        self.best = Evaluation(**kept["best"]) if kept["best"] else None
+        self.weights, self.diverged = kept["weights"], kept["diverged"]
+        self.env.reward_scale = kept["reward_scale"]
+        self.motion.restore(unpack(kept["motion"]))
+        self.env.world.restore(unpack(kept["world"]))
+        restore_algorithm(self.algorithm, kept["algorithm"])
+        return True
+
+    def _write_checkpoint(self) -> None:
+        if self.job.checkpoint is None:
+            return
+        content: dict[str, Any] = {
+            "identity": self.job.identity,
+            "history": [evaluation.model_dump() for evaluation in self.history],
+            "best": self.best.model_dump() if self.best else {},
+            "weights": self.weights,
+            "diverged": self.diverged,
+            "reward_scale": self.env.reward_scale,
+            "motion": pack(self.motion.state()),
+            "world": pack(self.env.world.state()),
+            "algorithm": algorithm_state(self.algorithm),
+        }
+        write_checkpoint(self.job.checkpoint, content)
+
+
+class _ReportProgress(BaseCallback):
+    """Tells how many control periods have been trained, after each hundredth of all `steps`."""
+
+    def __init__(self, report: Callable[[int], None], steps: int) -> None:
+        super().__init__()
+        self._report = report
+        self._every = max(1, steps // 100)
+
+    def _on_step(self) -> bool:
+        done = self.num_timesteps // self.training_env.num_envs
+        if done % self._every == 0:
+            self._report(done)
+        return True
+
+
+def task_in(simulation: Path, robot: Robot, task: TaskConfig, sampled: bool | None = None) -> Task:
+    """Return a task as it is learned in a simulation, in its arena; checked before anything is started.
+
+    Raises:
+        UserError: the robot cannot do the task there, the simulation is of another robot, or it cannot be sampled.
+    """
+    loaded = load_simulation(simulation)
+    if loaded.robot.name != robot.name:
+        raise UserError(f"{simulation} is a model of robot {loaded.robot.name!r}: add robot={loaded.robot.name}")
+    built = task.build(robot, loaded.conditions.arena_mm)
+    World(built, SimulatedMotion(loaded, 1, built.vehicles, sampled), 1, 0)
+    return built
+
+
+def learn_all(
+    jobs: Sequence[PolicyJob], report: LearningReport | None = None, processes: int | None = None
+) -> list[SeedResult]:
+    """Learn with all seeds, `processes` at a time; None: as many as there are cores."""
+    results = run_side_by_side(jobs, report, processes)
+    for result in results:
+        if result.failed:
+            log.warning("seed %d has failed: %s", result.seed, result.failed)
+    return results
+
+
+def best_of(results: Sequence[SeedResult]) -> SeedResult:
+    """Return the seed with most success in the evaluation scenarios, of equal ones that with the highest reward.
+
+    Raises:
+        UserError: every seed has failed.
+    """
+    usable = [(result.best.rank, result) for result in results if result.best and not result.failed]
+    if not usable:
+        reasons = "; ".join(f"seed {result.seed}: {result.failed}" for result in results)
+        raise UserError(f"every seed has failed ({reasons}): learn longer, try other seeds, or another algorithm")
+    return max(usable, key=lambda ranked: ranked[0])[1]
+
+
+def policy_of(task: Task, algorithm: AlgorithmConfig, result: SeedResult) -> Policy:
+    """Return the best policy of a seed that learned a task."""
+    weights = {name: torch.from_numpy(values) for name, values in result.weights.items()}
+    return Policy.with_weights(task.robot, task.observation_names, algorithm.architecture, weights)

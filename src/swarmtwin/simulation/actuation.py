@@ -1,0 +1,108 @@
+"""What a dynamics model shows of its robot's actuators: distance of the wheels, own lag, growth with effort.
+
+Nothing here comes from the robot's file or from a stand-in: the model is asked for commands and its answers are read.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.geometry import log_map
+from swarmtwin.learning.situation import Situation
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.conditions import SessionConditions
+
+
+class TrialCommands(NamedTuple):
+    """Random commands (N, m) to ask a model for, each after another one, at poses (N, 3) in the middle of an arena."""
+
+    command: Tensor
+    previous_command: Tensor
+    pose: Tensor
+
+    @classmethod
+    def draw(cls, robot: Robot, conditions: SessionConditions, seed: int, count: int = 2000) -> "TrialCommands":
+        """Draw commands over the robot's limits."""
+        rng = np.random.default_rng(seed)
+        drawn = rng.uniform(robot.command_low, robot.command_high, (2, count, len(robot.command)))
+        middle = conditions.centre_mm.numpy()
+        pose = np.concatenate([np.tile(middle, (count, 1)), rng.uniform(-np.pi, np.pi, (count, 1))], axis=1)
+        return cls(*(torch.as_tensor(values) for values in (*drawn, pose)))
+
+
+def with_actuation(conditions: SessionConditions, dynamics: DynamicsModel, seed: int) -> SessionConditions:
+    """Return session conditions with what a dynamics model shows of its actuators."""
+    trial = TrialCommands.draw(dynamics.robot, conditions, seed)
+    learned = {
+        "track_mm": _track_mm(dynamics, trial),
+        "own_lag": _own_lag(dynamics, trial),
+        "effort_exponents": _effort_exponents(dynamics, trial),
+    }
+    return conditions.model_copy(update=learned)
+
+
+def _twist(dynamics: DynamicsModel, command: Tensor, previous: Tensor, pose: Tensor) -> Tensor:
+    parts = {"command": command, "previous_command": previous, "earlier_command": previous, "pose": pose}
+    return log_map(dynamics.predict(Situation(**{part: parts[part] for part in dynamics.inputs})).double())
+
+
+def _track_mm(dynamics: DynamicsModel, trial: TrialCommands) -> float | None:
+    """Return the distance between the wheels: how much a wheel turns the vehicle, by how far it brings it.
+
+    None where the robot has no left and right wheel, or the model knows nothing of them.
+    """
+    robot = dynamics.robot
+    if robot.actuation.track_mm:
+        return robot.actuation.track_mm
+    if robot.actuation.kind != "wheel" or len(robot.actuation.effort) != 2:
+        return None
+    ahead, turned = [], []
+    for name, sign in zip(robot.actuation.effort, (-1.0, 1.0), strict=True):
+        column = robot.command_columns.index(name)
+        high, low = trial.command.clone(), trial.command.clone()
+        high[:, column], low[:, column] = robot.command_high[column], robot.command_low[column]
+        change = _twist(dynamics, high, high, trial.pose) - _twist(dynamics, low, low, trial.pose)
+        ahead.append(change[:, 0])
+        turned.append(sign * change[:, 2])
+    track_mm = float(2 * torch.cat(ahead).mean() / torch.cat(turned).mean())
+    return track_mm if track_mm > 0 else None
+
+
+def _own_lag(dynamics: DynamicsModel, trial: TrialCommands) -> float:
+    """Return the actuators' own time constant in periods: the part of the old twist left after a change of command."""
+    if "previous_command" not in dynamics.inputs:
+        return 0.0
+    now = _twist(dynamics, trial.command, trial.previous_command, trial.pose)
+    steady = _twist(dynamics, trial.command, trial.command, trial.pose)
+    late = _twist(dynamics, trial.previous_command, trial.previous_command, trial.pose) - steady
+    size = late.std(dim=0).clamp(min=1e-9)
+    own = float((((now - steady) / size) * (late / size)).sum() / ((late / size) ** 2).sum())
+    return min(max(own, 0.0), 0.5)
+
+
+def _effort_exponents(dynamics: DynamicsModel, trial: TrialCommands) -> tuple[float, float, float]:
+    """Return the power of effort with which steady twists of thrust grow, axis by axis; 1 for wheels.
+
+    A twist v ∝ effortᵖ changes by p · v per unit of ln(effort): p is the slope of that change over v, from efforts a
+    tenth larger and a tenth smaller, least squares through zero.
+    """
+    robot = dynamics.robot
+    if robot.actuation.kind == "wheel" or not robot.actuation.effort:
+        return 1.0, 1.0, 1.0
+    columns = [robot.command_columns.index(name) for name in robot.actuation.effort]
+    more, less = trial.command.clone(), trial.command.clone()
+    more[:, columns] *= 1.1
+    less[:, columns] *= 0.9
+    inside = (more[:, columns] <= torch.as_tensor(robot.command_high)[columns]).all(dim=1)
+    twist, up, down = (
+        _twist(dynamics, command[inside], command[inside], trial.pose[inside])
+        for command in (trial.command, more, less)
+    )
+    change = (up - down) / (math.log(1.1) - math.log(0.9))
+    exponents = (change * twist).sum(dim=0) / (twist**2).sum(dim=0).clamp(min=1e-12)
+    forward, left, turn = (min(max(float(power), 0.2), 4.0) for power in exponents)
+    return forward, left, turn

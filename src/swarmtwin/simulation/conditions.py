@@ -1,0 +1,51 @@
+"""Where and how long a session took place, and what its robot's motion shows of its actuators."""
+
+from typing import Annotated
+
+import torch
+from pydantic import Field
+from torch import Tensor
+
+from swarmtwin.robot import Arena, Positive, StrictModel
+
+Exponent = Annotated[float, Field(gt=0)]
+
+
+class SessionConditions(StrictModel):
+    """What mechanisms refer to beyond the moment: kept with the simulation that they extend.
+
+    Attributes:
+        arena_mm: the walls; the camera's image is taken to have the same centre and corners.
+        session_s: how long the session lasted; a battery ages over it.
+        track_mm: distance between left and right wheel; null for robots without such.
+        own_lag: time constant, in control periods, with which the actuators follow by themselves; 0 where the dynamics
+            model does not look at the previous command.
+        effort_exponents: of thrust, the power of the actuators' effort with which motion (forward, left, turn) grows,
+            as the dynamics model shows it; 1 for wheels.
+    """
+
+    arena_mm: Arena
+    session_s: Positive
+    track_mm: Annotated[float, Field(gt=0)] | None = None
+    own_lag: Annotated[float, Field(ge=0, le=1)] = 0.0
+    effort_exponents: tuple[Exponent, Exponent, Exponent] = (1.0, 1.0, 1.0)
+
+    @property
+    def centre_mm(self) -> Tensor:
+        """The centre of the camera's image, (2,)."""
+        return torch.as_tensor((self.arena_mm.low_mm + self.arena_mm.high_mm) / 2, dtype=torch.float64)
+
+    @property
+    def corner_mm(self) -> float:
+        """Distance from the image's centre to a corner."""
+        return float(torch.as_tensor(self.arena_mm.high_mm - self.arena_mm.low_mm).norm()) / 2
+
+    def progress(self, elapsed_s: Tensor) -> Tensor:
+        """Return the share of the session that has passed at times (...), in [0, 1]."""
+        return (elapsed_s / self.session_s).clamp(0.0, 1.0)
+
+    def wall_distance_mm(self, position: Tensor) -> Tensor:
+        """Return the distances (...) of positions (..., 2) from the nearest wall, 0 beyond it."""
+        low, high = (torch.as_tensor(corner) for corner in (self.arena_mm.low_mm, self.arena_mm.high_mm))
+        nearest = torch.minimum(position - low, high - position).amin(dim=-1)
+        return nearest.clamp(min=0.0)

@@ -1,0 +1,343 @@
+"""What a mechanism is: one stage of the signal chain, with few named, bounded, physical parameters.
+
+A mechanism overrides the hooks of its stage and leaves the others alone; `signal_chain.py` asks all mechanisms of a
+simulation in the order of the signal: link, controller, supply, actuators, ground, body, marker, camera, clock. N
+vehicles at a time; tensors are float64.
+"""
+
+from abc import ABC
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.learning.situation import Situation
+from swarmtwin.plugins import PluginRegistry
+from swarmtwin.robot import Robot, SituationPart, StrictModel
+from swarmtwin.simulation import mechanisms
+from swarmtwin.simulation.conditions import SessionConditions
+
+Stage = Literal["link", "controller", "supply", "actuators", "ground", "body", "marker", "camera", "clock"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+
+
+class Parameter(NamedTuple):
+    """A parameter of a mechanism.
+
+    Attributes:
+        low: its lower bound.
+        high: its upper bound.
+        null_value: where the mechanism does nothing; None where another parameter says so.
+        unit: what it is measured in; empty for a ratio.
+        initial_values: values that a search begins from.
+        step: change for which the motion's response is measured; None: a thousandth of the bounds' distance.
+    """
+
+    low: float
+    high: float
+    null_value: float | None
+    unit: str
+    initial_values: tuple[float, ...]
+    step: float | None = None
+
+    @property
+    def size(self) -> float:
+        """Distance of the bounds."""
+        return self.high - self.low
+
+    @property
+    def response_step(self) -> float:
+        """Change for which the motion's response is measured."""
+        return self.step or 1e-3 * self.size
+
+
+@dataclass(frozen=True)
+class Moment:
+    """N vehicles at the start of a control period, as mechanisms see them.
+
+    Attributes:
+        robot: whose vehicles they are.
+        conditions: of the session.
+        pose: (N, 3) true poses: x_mm, y_mm, heading_rad in the arena's frame.
+        elapsed_s: (N,) since the session began.
+        duration_s: (N,) of the period.
+        neighbours: (N, M, 3) the other vehicles in the vehicle's own frame: forward_mm, left_mm, turn_rad; NaN where
+            there is none.
+        given: (N, m) the commands that the actuators are given in this period, and `given_before` in the one before:
+            None until the controller has passed them on, in the hooks of link and controller.
+        given_before: see `given`.
+    """
+
+    robot: Robot
+    conditions: SessionConditions
+    pose: Tensor
+    elapsed_s: Tensor
+    duration_s: Tensor
+    neighbours: Tensor
+    given: Tensor | None = None
+    given_before: Tensor | None = None
+
+    def situation(self, command: Tensor, previous_command: Tensor, earlier_command: Tensor) -> Situation:
+        """Return it with the commands (N, m) of this period and of the two before: what a dynamics model looks at."""
+        return Situation(
+            command=command,
+            previous_command=previous_command,
+            earlier_command=earlier_command,
+            pose=self.pose,
+            elapsed_s=self.elapsed_s,
+            duration_s=self.duration_s,
+            neighbours=self.neighbours,
+        )
+
+    @property
+    def progress(self) -> Tensor:
+        """Share of the session that has passed, (N,) in [0, 1]."""
+        return self.conditions.progress(self.elapsed_s)
+
+    @property
+    def track_mm(self) -> float:
+        """Distance between the wheels; 1 where the robot has none, so that nothing is divided by zero."""
+        return self.conditions.track_mm or 1.0
+
+
+class LocalTractionScore(NamedTuple):
+    """Where in the arena a loss of traction would explain residuals: where a search for a patch begins.
+
+    Attributes:
+        position: (N, 2) mm, the middle of each transition.
+        slope: (N,) derivative of each one's log-likelihood with respect to a loss of traction there.
+        curvature: (N,) how fast that derivative falls.
+    """
+
+    position: np.ndarray
+    slope: np.ndarray
+    curvature: np.ndarray
+
+
+class Mechanism(StrictModel, ABC):
+    """A cause of the catalogue with values for its parameters, which are its fields.
+
+    Attributes:
+        name: of the cause, that of its file.
+        stage: of the signal chain.
+        words: what it is, for a person; parameters in braces.
+        remedy: what to repair or check.
+        parameters: its parameters by field name.
+        inputs: parts of the measured situation that a simulation with it must be shown beside the command; those of
+            commands before, where it has memory or a delay.
+        is_smooth: whether the motion changes gradually with the parameters.
+        interval_widening: leave the default. By how much the present inference's intervals are wider than its
+            likelihood says, found on stand-ins in sessions other than those that coverage is reported for. It goes when
+            the state is carried through whole runs in the likelihood.
+        share_left_over: leave the default. Share of its gain in likelihood that may be left to causes that look like
+            it, for the same reason.
+    """
+
+    stage: ClassVar[Stage]
+    words: ClassVar[str]
+    remedy: ClassVar[str]
+    parameters: ClassVar[Mapping[str, Parameter]]
+    inputs: ClassVar[tuple[SituationPart, ...]] = ()
+    is_smooth: ClassVar[bool] = True
+    interval_widening: ClassVar[float] = 1.1
+    share_left_over: ClassVar[float] = 0.04
+
+    name: str
+
+    @classmethod
+    def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
+        """Say whether it makes sense for a robot."""
+        return True
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Return its parameters for a robot in a session, by name."""
+        return cls.parameters
+
+    @classmethod
+    def at(cls, values: Mapping[str, float]) -> Self:
+        """Return it with values that are not checked against the bounds: for searches."""
+        content: dict[str, Any] = {"name": cls.model_fields["name"].default, **values}
+        return cast(Self, cls.model_construct(**content))
+
+    @classmethod
+    def initial_points(
+        cls, robot: Robot, conditions: SessionConditions, traction: LocalTractionScore | None = None
+    ) -> list[dict[str, float]]:
+        """Return where a search for its parameters begins: all combinations of their initial values.
+
+        `traction` says where in the arena vehicles get further or less far than they should.
+        """
+        combined: list[dict[str, float]] = [{}]
+        for name, parameter in cls.parameters_of(robot, conditions).items():
+            combined = [{**point, name: value} for point in combined for value in parameter.initial_values]
+        return combined
+
+    @classmethod
+    def read_from_clock(cls, duration_s: np.ndarray, period_s: float) -> dict[str, float] | None:
+        """Return fields that are read off the periods' lengths (N,) instead of fitted; None where they show nothing."""
+        return {}
+
+    @classmethod
+    def units(cls, robot: Robot, conditions: SessionConditions) -> dict[str, str]:
+        """Return the units of what `reported` gives."""
+        return {name: parameter.unit for name, parameter in cls.parameters_of(robot, conditions).items()}
+
+    def values(self) -> dict[str, float]:
+        """Return its parameters' values by name."""
+        return {name: value for name, value in self if name != "name" and value is not None}
+
+    def reported(self) -> dict[str, float]:
+        """Return its parameters as a diagnosis reports them; the same as `values` unless said otherwise."""
+        return self.values()
+
+    # link
+
+    def arrival_probability(self) -> float:
+        """Return the probability that a command arrives; otherwise the one in force before goes on."""
+        return 1.0
+
+    def latency_s(self) -> float:
+        """Return how long after it was sent a command acts, at most a period."""
+        return 0.0
+
+    # controller
+
+    def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
+        """Return the commands (N, m) that the actuators are given."""
+        return command
+
+    # supply and actuators
+
+    def supply_gain(self, moment: Moment) -> Tensor | None:
+        """Return the factor on the actuators' speed, (N or 1, 1), or (N or 1, 2) for left and right; None: 1."""
+        return None
+
+    def added_lag_s(self) -> float:
+        """Return with which additional time constant the actuators follow, to first order."""
+        return 0.0
+
+    def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
+        """Return what it remembers (N, ...) of actuators that have long moved by `twist` (N, 3); None: nothing."""
+        return None
+
+    def actuator_response(self, twist: Tensor, memory: Tensor, share: float, moment: Moment) -> tuple[Tensor, Tensor]:
+        """Return what becomes of actuators' twists (N, 3), per nominal period, and its memory (N, ...) after that.
+
+        Asked only of those with an `initial_memory`, once for each piece that the period is integrated in, in order:
+        `share` is the piece's part of the period, and the breakpoints of all mechanisms decide how many there are.
+        """
+        return twist, memory
+
+    # ground
+
+    def traction(self, position: Tensor, moment: Moment) -> Tensor | None:
+        """Return the factor (N,) on how far the actuators bring vehicles at positions (N, 2); None: 1."""
+        return None
+
+    # body
+
+    def drift_velocity(self, displacement: Tensor, moment: Moment) -> Tensor | None:
+        """Return a velocity (N or 1, 2) in mm/s along the arena's x and y, added to the vehicle's own; None: none.
+
+        `displacement` (N, 3) is that of the vehicle itself at the middle of the period, in its frame at the start.
+        """
+        return None
+
+    def noise_factor(self) -> float:
+        """Return the factor on the standard deviation of the motion's random part."""
+        return 1.0
+
+    # marker and camera
+
+    def to_measured(self, pose: Tensor, conditions: SessionConditions) -> Tensor:
+        """Return what the camera measures of true poses (N, 3)."""
+        return pose
+
+    def from_measured(self, pose: Tensor, conditions: SessionConditions) -> Tensor:
+        """Return which true poses (N, 3) are measured like this: the inverse of `to_measured`."""
+        return pose
+
+    # clock
+
+    def follows_clock(self) -> bool:
+        """Say whether the motion lasts as long as the period really does, instead of its nominal length."""
+        return False
+
+    def draw_duration_s(self, count: int, period_s: float, rng: torch.Generator) -> Tensor | None:
+        """Draw the lengths (N,) of periods; None: nominal."""
+        return None
+
+    # integration
+
+    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
+        """Return the shares of a period at which what it does to the motion must be looked at anew, each in (0, 1)."""
+        return ()
+
+
+MECHANISMS: PluginRegistry[Mechanism] = PluginRegistry(mechanisms, "mechanism", group=None)
+mechanism_names = MECHANISMS.names
+mechanism_class = MECHANISMS.plugin_class
+mechanism = MECHANISMS.config
+
+
+def offered(robot: Robot, conditions: SessionConditions) -> dict[str, type[Mechanism]]:
+    """Return by name the mechanisms that make sense for a robot."""
+    classes = {name: mechanism_class(name) for name in mechanism_names()}
+    return {name: cls for name, cls in classes.items() if cls.suits(robot, conditions)}
+
+
+def in_signal_order(chosen: Iterable[Mechanism]) -> tuple[Mechanism, ...]:
+    """Return mechanisms in the order of the signal chain; by name within a stage."""
+    return tuple(sorted(chosen, key=lambda one: (STAGES.index(one.stage), one.name)))
+
+
+def wheel_travel(twist: Tensor, track_mm: float) -> Tensor:
+    """Return how far the left and the right wheel roll, (N, 2) mm, on twists (N, 3) over a period."""
+    apart = twist[:, 2:] * (track_mm / 2)
+    return torch.cat([twist[:, :1] - apart, twist[:, :1] + apart], dim=-1)
+
+
+def twist_of_wheels(travel: Tensor, twist: Tensor, track_mm: float) -> Tensor:
+    """Return the twists (N, 3) of wheels that roll (N, 2) mm; what `twist` (N, 3) had to the side is kept."""
+    left, right = travel[:, 0], travel[:, 1]
+    return torch.stack([(left + right) / 2, twist[:, 1], (right - left) / track_mm], dim=-1)
+
+
+def change_effort(command: Tensor, moment: Moment, change: Callable[[Tensor], Tensor]) -> Tensor:
+    """Apply `change` to the efforts in commands (N, m): the actuators' columns, or the speeds of both wheels."""
+    robot = moment.robot
+    if robot.actuation.effort:
+        columns = [robot.command_columns.index(name) for name in robot.actuation.effort]
+        changed = command.clone()
+        changed[:, columns] = change(command[:, columns])
+        return changed
+    half = moment.track_mm / 2
+    wheels = torch.stack([command[:, 0] - half * command[:, 1], command[:, 0] + half * command[:, 1]], dim=-1)
+    left, right = change(wheels).unbind(dim=-1)
+    return torch.stack([(left + right) / 2, (right - left) / (2 * half)], dim=-1)
+
+
+def effort_limit(robot: Robot) -> float:
+    """Return the largest effort of an actuator in the command's unit; of wheels commanded as a unicycle, in mm/s."""
+    if robot.actuation.effort:
+        return robot.command[robot.actuation.effort[0]].high
+    return float(robot.command_high[0] + robot.command_high[1] * (robot.actuation.track_mm or 0.0) / 2)
+
+
+def effort_unit(robot: Robot) -> str:
+    """Return the unit of efforts."""
+    return robot.command[robot.actuation.effort[0]].unit if robot.actuation.effort else "mm/s"
+
+
+def scaled_by_effort(twist: Tensor, factor: Tensor, moment: Moment) -> Tensor:
+    """Return the twists (N, 3) of actuators that are `factor` (N or 1, 1), or (…, 2) left and right, as fast."""
+    if factor.shape[-1] == 2:
+        return twist_of_wheels(wheel_travel(twist, moment.track_mm) * factor, twist, moment.track_mm)
+    exponents = torch.tensor(moment.conditions.effort_exponents, dtype=twist.dtype)
+    if bool((exponents == 1).all()):
+        return twist * factor
+    return twist * factor.clamp(min=1e-6) ** exponents

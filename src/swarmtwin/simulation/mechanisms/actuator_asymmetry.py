@@ -1,0 +1,62 @@
+"""Left and right differ, or the fin's trim is off."""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
+
+
+class Config(Mechanism):
+    """The left wheel is faster than the right one by `ratio`, their geometric mean unchanged; or a fin is askew.
+
+    Attributes:
+        ratio: of wheels.
+        angle_rad: of what is steered by an angle.
+    """
+
+    stage: ClassVar = "actuators"
+    words: ClassVar = "left and right differ: {ratio}{angle_rad}"
+    remedy: ClassVar = "compare the wheels or motors, or trim the fin"
+    parameters: ClassVar = {
+        "ratio": Parameter(0.3, 3.0, 1.0, "", (1.0,)),
+        "angle_rad": Parameter(-0.7, 0.7, 0.0, "rad", (0.0,), 0.01),
+    }
+
+    name: Literal["actuator_asymmetry"] = "actuator_asymmetry"
+    ratio: float | None = None
+    angle_rad: float | None = None
+
+    @classmethod
+    def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
+        """Wheels need a track, thrust a steering angle."""
+        return bool(cls.parameters_of(robot, conditions)) and (
+            robot.actuation.kind == "thrust" or bool(conditions.track_mm)
+        )
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Ask wheels for a ratio, steered thrust for an angle."""
+        if robot.actuation.kind == "wheel":
+            return {"ratio": cls.parameters["ratio"]}
+        return {"angle_rad": cls.parameters["angle_rad"]} if robot.actuation.steering else {}
+
+    def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
+        """Turn the fin."""
+        steering = moment.robot.actuation.steering
+        if self.angle_rad is None or steering is None:
+            return command
+        changed = command.clone()
+        changed[:, moment.robot.command_columns.index(steering)] += math.degrees(self.angle_rad)
+        return changed
+
+    def supply_gain(self, moment: Moment) -> Tensor | None:
+        """Make one wheel faster, the other slower."""
+        if self.ratio is None:
+            return None
+        return torch.tensor([[self.ratio**0.5, self.ratio**-0.5]], dtype=torch.float64)

@@ -1,0 +1,46 @@
+"""Speed follows the command gradually: tired motors, a slow controller."""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Parameter
+
+
+class Config(Mechanism):
+    """Actuators follow to first order: what is left of the old speed decays with an additional `time_constant_s`.
+
+    Wheels: their speed lags, beyond the lag that the reference shows by itself. Thrust: the setting of fin or propeller
+    lags, so that something between both commands holds for a while.
+    """
+
+    stage: ClassVar = "actuators"
+    words: ClassVar = "actuators follow with an additional time constant of {time_constant_s}"
+    remedy: ClassVar = "check motors and gears for wear, or lower the controller's smoothing"
+    parameters: ClassVar = {"time_constant_s": Parameter(0.0, 1.0, 0.0, "s", (0.1,))}
+    inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
+    interval_widening: ClassVar = 1.8
+    share_left_over: ClassVar = 0.3
+
+    name: Literal["actuator_lag"] = "actuator_lag"
+    time_constant_s: float
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Allow a period at most."""
+        period_s = robot.period_s
+        begin = (0.1 * period_s, 0.35 * period_s)
+        return {"time_constant_s": Parameter(0.0, period_s, 0.0, "s", begin, 0.01 * period_s)}
+
+    def added_lag_s(self) -> float:
+        """Return the time constant."""
+        return self.time_constant_s
+
+    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
+        """Look at wheels in eighths of a period, at thrust after each eighth of the change of its setting."""
+        if robot.actuation.kind == "wheel":
+            return tuple(step / 8 for step in range(1, 8))
+        lag = self.time_constant_s / robot.period_s
+        return (*(lag * math.log(8 / left) for left in range(7, 0, -1)), 5 * lag)

@@ -1,0 +1,80 @@
+"""Travel is lost when an actuator reverses: worn gears."""
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+from torch import Tensor
+
+from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort, twist_of_wheels, wheel_travel
+
+
+class Config(Mechanism):
+    """A gear has play, which is taken up anew after each reversal.
+
+    A wheel carries on which side the play lies; of a fin that beats to and fro, half of the play is missing from its
+    amplitude.
+
+    Attributes:
+        travel_mm: of wheels, at the rim.
+        travel_rad: of a fin's joint.
+    """
+
+    stage: ClassVar = "actuators"
+    words: ClassVar = "after each reversal {travel_mm}{travel_rad} of travel is lost"
+    remedy: ClassVar = "check gears, couplings and set screws for play"
+    parameters: ClassVar = {}
+    inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
+    interval_widening: ClassVar = 2.0
+    share_left_over: ClassVar = 0.3
+
+    name: Literal["backlash"] = "backlash"
+    travel_mm: float | None = None
+    travel_rad: float | None = None
+
+    @classmethod
+    def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
+        """Wheels need a track; thrust must beat by an amplitude in degrees."""
+        if robot.actuation.kind == "wheel":
+            return bool(conditions.track_mm)
+        return bool(cls.parameters_of(robot, conditions))
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Give the play in the unit of what has it."""
+        if robot.actuation.kind == "wheel":
+            high = 0.5 * robot.largest_displacement.forward_mm
+            return {"travel_mm": Parameter(0.0, high, 0.0, "mm", (0.05 * high, 0.2 * high), 0.01 * high)}
+        efforts = [robot.command[name] for name in robot.actuation.effort]
+        if not efforts or efforts[0].unit != "deg":
+            return {}
+        high = math.radians(efforts[0].high)
+        return {"travel_rad": Parameter(0.0, high, 0.0, "rad", (0.05, 0.2), 0.01)}
+
+    def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
+        """Take half of the play from the amplitude of a fin."""
+        if self.travel_rad is None:
+            return command
+        half_deg = math.degrees(self.travel_rad) / 2
+        return change_effort(command, moment, lambda effort: (effort - half_deg).clamp(min=0.0))
+
+    def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
+        """Return how much of its play each wheel has taken up ahead, (N, 2) mm: in the middle where it stood."""
+        if self.travel_mm is None:
+            return None
+        rolled = wheel_travel(twist, moment.track_mm)
+        return (rolled + self.travel_mm / 2).clamp(0.0, self.travel_mm)
+
+    def actuator_response(self, twist: Tensor, memory: Tensor, share: float, moment: Moment) -> tuple[Tensor, Tensor]:
+        """Let the motors of wheels take up their play first."""
+        assert self.travel_mm is not None
+        turned = wheel_travel(twist, moment.track_mm)
+        taken_up = (memory + turned * share).clamp(0.0, self.travel_mm)
+        rolled = turned - (taken_up - memory) / share
+        return twist_of_wheels(rolled, twist, moment.track_mm), taken_up
+
+    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
+        """Look at wheels in eighths of a period: travel is lost at its beginning."""
+        return tuple(step / 8 for step in range(1, 8)) if self.travel_mm is not None else ()

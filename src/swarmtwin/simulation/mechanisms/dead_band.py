@@ -1,0 +1,37 @@
+"""Small commands do nothing: stiction, a cheap motor driver."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort, effort_limit, effort_unit
+
+
+class Config(Mechanism):
+    """Efforts smaller than `width` do nothing, larger ones act as ever."""
+
+    stage: ClassVar = "controller"
+    words: ClassVar = "commands below {width} do nothing"
+    remedy: ClassVar = "raise small commands above the dead-band, or exchange the driver or motor"
+    parameters: ClassVar = {"width": Parameter(0.0, 1.0, 0.0, "", (0.2,))}
+    is_smooth: ClassVar = False
+
+    name: Literal["dead_band"] = "dead_band"
+    width: float
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Give the width in the command's unit."""
+        high = 0.7 * effort_limit(robot)
+        grid = tuple(high * (index + 0.5) / 24 for index in range(24))
+        return {"width": Parameter(0.0, high, 0.0, effort_unit(robot), grid, high / 48)}
+
+    def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
+        """Leave out what is smaller than the width."""
+        return change_effort(
+            command, moment, lambda effort: torch.where(effort.abs() < self.width, torch.zeros_like(effort), effort)
+        )

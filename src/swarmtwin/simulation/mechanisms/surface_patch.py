@@ -1,0 +1,75 @@
+"""Another grip in a region of the arena: dust or oil on the ground, weeds in the water."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Moment, Parameter
+
+
+class Config(Mechanism):
+    """On a disc the actuators bring the vehicle less far by `loss`; negative where the grip is better."""
+
+    stage: ClassVar = "ground"
+    words: ClassVar = "around x {x_mm}, y {y_mm}, within {radius_mm}, vehicles lose {loss} of their way"
+    remedy: ClassVar = "clean or level that place, or keep the robots off it"
+    parameters: ClassVar = {}
+    inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
+    is_smooth: ClassVar = False
+    interval_widening: ClassVar = 2.2
+
+    name: Literal["surface_patch"] = "surface_patch"
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    loss: float
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Look within the session's arena."""
+        arena = conditions.arena_mm
+        width, height = (float(size) for size in arena.high_mm - arena.low_mm)
+        least = min(width, height)
+        return {
+            "x_mm": Parameter(arena.x[0], arena.x[1], None, "mm", (arena.x[0] + width / 2,), 0.02 * least),
+            "y_mm": Parameter(arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), 0.02 * least),
+            "radius_mm": Parameter(0.05 * least, 0.45 * least, None, "mm", (0.22 * least,), 0.02 * least),
+            "loss": Parameter(-0.6, 0.97, 0.0, "", (0.2,), 0.01),
+        }
+
+    @classmethod
+    def initial_points(
+        cls, robot: Robot, conditions: SessionConditions, traction: LocalTractionScore | None = None
+    ) -> list[dict[str, float]]:
+        """Lay discs of five sizes over a grid of the arena and keep the three that would explain most."""
+        low, high = conditions.arena_mm.low_mm, conditions.arena_mm.high_mm
+        if traction is None:
+            traction = LocalTractionScore(((low + high) / 2)[None], np.zeros(1), np.ones(1))
+        least = float(min(high - low))
+        x_mm, y_mm = (np.linspace(low[axis], high[axis], round(13 * (high - low)[axis] / least)) for axis in (0, 1))
+        found = []
+        for radius in (0.08, 0.14, 0.2, 0.27, 0.36):
+            for centre in np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2):
+                inside = ((traction.position - centre) ** 2).sum(axis=1) < (radius * least) ** 2
+                slope, curvature = traction.slope[inside].sum(), traction.curvature[inside].sum() + 1e-9
+                loss = float(np.clip(slope / curvature, -0.5, 0.9))
+                disc = {"x_mm": float(centre[0]), "y_mm": float(centre[1]), "radius_mm": radius * least, "loss": loss}
+                found.append((slope**2 / curvature, disc))
+        found.sort(key=lambda entry: -entry[0])
+        return [disc for _, disc in found[:3]]
+
+    def traction(self, position: Tensor, moment: Moment) -> Tensor:
+        """Weaken the drive inside the disc; its edge is as soft as a fifth of a period's longest way is."""
+        centre = torch.tensor([self.x_mm, self.y_mm], dtype=torch.float64)
+        inside_mm = self.radius_mm - (position - centre).norm(dim=-1)
+        soft_mm = 0.1 * moment.robot.largest_displacement.forward_mm
+        return 1.0 - self.loss * (0.5 + inside_mm / soft_mm).clamp(0.0, 1.0)
+
+    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
+        """Look at the path in fifths of a period."""
+        return (0.2, 0.4, 0.6, 0.8)

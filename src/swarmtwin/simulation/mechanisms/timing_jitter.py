@@ -1,0 +1,45 @@
+"""Periods differ from nominal, and the motion goes with them: a busy controller."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Parameter
+
+
+class Config(Mechanism):
+    """The motion lasts as long as the period really does; `spread` is the periods' standard deviation over nominal."""
+
+    stage: ClassVar = "clock"
+    words: ClassVar = "control periods differ by {spread} from nominal, and the motion with them"
+    remedy: ClassVar = "take load off the controller, or use the measured duration as an input"
+    parameters: ClassVar[Mapping[str, Parameter]] = {}
+    inputs: ClassVar[tuple[SituationPart, ...]] = ("duration_s",)
+
+    name: Literal["timing_jitter"] = "timing_jitter"
+    spread: float
+
+    @classmethod
+    def read_from_clock(cls, duration_s: np.ndarray, period_s: float) -> dict[str, float] | None:
+        """Read the spread off the clock; None where periods differ by no more than times are rounded to."""
+        spread = float(np.std(duration_s) / period_s)
+        return {"spread": spread} if spread > 0.003 else None
+
+    @classmethod
+    def units(cls, robot: Robot, conditions: SessionConditions) -> dict[str, str]:
+        """Return the unit of what is reported."""
+        return {"spread": ""}
+
+    def follows_clock(self) -> bool:
+        """Say that the motion lasts as long as the period."""
+        return True
+
+    def draw_duration_s(self, count: int, period_s: float, rng: torch.Generator) -> Tensor:
+        """Draw the lengths (N,) of periods, normal about nominal; none is shorter than a tenth of it."""
+        drawn = torch.randn(count, generator=rng, dtype=torch.float64, device=rng.device)
+        return period_s * (1.0 + self.spread * drawn).clamp(min=0.1)

@@ -1,0 +1,44 @@
+"""Weaker near the walls: a worn edge of the table, water held back by the pool's sides."""
+
+from collections.abc import Mapping
+from typing import ClassVar, Literal
+
+import torch
+from torch import Tensor
+
+from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
+
+
+class Config(Mechanism):
+    """The nearer the nearest wall, the less far actuators bring the vehicle: 1 − loss · exp(−distance / reach)."""
+
+    stage: ClassVar = "ground"
+    words: ClassVar = "near the walls (within {reach_mm}) vehicles lose up to {loss} of their way"
+    remedy: ClassVar = "keep away from the walls, or clean the table's edge"
+    parameters: ClassVar = {}
+    inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
+
+    name: Literal["wall_effect"] = "wall_effect"
+    loss: float
+    reach_mm: float
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Look for reaches up to half of the arena's smaller side."""
+        least = float(min(conditions.arena_mm.high_mm - conditions.arena_mm.low_mm))
+        reaches = tuple(reach * least for reach in (0.04, 0.1, 0.2))
+        return {
+            "loss": Parameter(-0.5, 0.98, 0.0, "", (0.2,), 0.01),
+            "reach_mm": Parameter(0.01 * least, 0.5 * least, None, "mm", reaches, 0.005 * least),
+        }
+
+    def traction(self, position: Tensor, moment: Moment) -> Tensor:
+        """Weaken the drive near the walls."""
+        distance_mm = moment.conditions.wall_distance_mm(position)
+        return 1.0 - self.loss * torch.exp(-distance_mm / self.reach_mm)
+
+    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
+        """Look at the path in fifths of a period."""
+        return (0.2, 0.4, 0.6, 0.8)

@@ -1,0 +1,272 @@
+"""The one thing that moves vehicles: a dynamics model, extended by mechanisms where a diagnosis found some.
+
+World, open loop, roll-outs, policies and the gate step this and nothing else. A bare dynamics model is the simplest
+simulation: equation (1) of the paper, pose and command in, the next pose out.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from swarmtwin.dynamics.motion_noise import MotionNoise
+from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, wrap_angle
+from swarmtwin.learning.situation import ALL_PARTS, Situation
+from swarmtwin.robot import SituationPart
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
+from swarmtwin.simulation.residual_model import ResidualModel
+from swarmtwin.simulation.signal_chain import BaseTwists, actuator_motion, period_motion, remembered_after_long
+from swarmtwin.simulation.state import State
+
+
+class Simulation(nn.Module):
+    """Vehicles with state, moved by a dynamics model and by mechanisms in the order of the signal chain.
+
+    Attributes:
+        robot: whose vehicles it moves.
+        dynamics: the dynamics model.
+        mechanisms: what is different from the dynamics model, in the order of the signal.
+        conditions: of the session that the mechanisms were found in.
+        residual: what was learned beyond the mechanisms, or None.
+        motion_noise: the random part of motion and camera, or None where it is not known.
+        inputs: the parts of a measured situation that it looks at.
+        command_at_rest: (m,) the command nearest to zero.
+    """
+
+    def __init__(
+        self,
+        dynamics: DynamicsModel,
+        mechanisms: Sequence[Mechanism] = (),
+        conditions: SessionConditions | None = None,
+        residual: ResidualModel | None = None,
+        motion_noise: MotionNoise | None = None,
+    ) -> None:
+        super().__init__()
+        self.robot = dynamics.robot
+        self.dynamics = dynamics
+        self.mechanisms = in_signal_order(mechanisms)
+        self.conditions = conditions or SessionConditions(arena_mm=self.robot.arena_mm, session_s=self.robot.period_s)
+        self.residual = residual
+        self.motion_noise = motion_noise or getattr(dynamics, "motion_noise", None)
+        needed = {*dynamics.inputs, *(part for mechanism in self.mechanisms for part in mechanism.inputs)}
+        if residual:
+            needed |= set(residual.inputs)
+        self.inputs: tuple[SituationPart, ...] = tuple(part for part in ALL_PARTS if part in needed)
+        low, high = (torch.as_tensor(limits) for limits in (self.robot.command_low, self.robot.command_high))
+        self.command_at_rest = torch.zeros(len(low), dtype=torch.float64).clamp(low, high)
+
+    @property
+    def is_extended(self) -> bool:
+        """Whether it is more than a dynamics model."""
+        return bool(self.mechanisms) or self.residual is not None
+
+    def start(self, pose: Tensor, elapsed_s: float | Tensor | None = None, rng: torch.Generator | None = None) -> State:
+        """Put vehicles down at rest; what they were commanded before is not known.
+
+        Args:
+            pose: (W, K, 3) true poses of K vehicles in each of W worlds.
+            elapsed_s: time since the session began, one number or (W, K). None: 0, or where `rng` is given and the
+                simulation ages, a moment of the session, the same for all vehicles of a world.
+            rng: draws that moment.
+        """
+        pose = torch.as_tensor(pose, dtype=torch.float64)
+        pose = torch.cat([pose[..., :2], wrap_angle(pose[..., 2:])], dim=-1)
+        shape = pose.shape[:2]
+        if elapsed_s is None:
+            elapsed_s = torch.zeros(shape, dtype=torch.float64)
+            if rng is not None and any("elapsed_s" in mechanism.inputs for mechanism in self.mechanisms):
+                drawn = torch.rand(shape[0], 1, generator=rng, dtype=torch.float64, device=pose.device)
+                elapsed_s = (drawn * self.conditions.session_s).expand(shape)
+        elapsed_s = torch.as_tensor(elapsed_s, dtype=torch.float64).expand(shape).clone()
+        unknown = torch.full((*shape, len(self.robot.command)), torch.nan, dtype=torch.float64, device=pose.device)
+        state = State(pose, elapsed_s, unknown, unknown)
+        if not self.mechanisms:
+            return state
+        at_rest = self.command_at_rest.expand(pose.shape[0] * pose.shape[1], -1)
+        twists = self._twists(self._moment(state, None, None), [at_rest])
+        memory = remembered_after_long(self.mechanisms, twists, 0)
+        return State(pose, elapsed_s, unknown, unknown, _unflattened(memory, shape))
+
+    def step(
+        self,
+        state: State,
+        command: Tensor,
+        duration_s: Tensor | None = None,
+        rng: torch.Generator | None = None,
+        neighbours: Tensor | None = None,
+    ) -> State:
+        """Hold commands for one control period.
+
+        Args:
+            state: where W worlds of K vehicles are.
+            command: (W, K, m) as sent, in the robot's units.
+            duration_s: (W, K) the period's length; None: nominal, or drawn where `rng` is given and the clock is said
+                to be irregular.
+            rng: with it everything random is drawn: lost commands, irregular periods, the motion's random part.
+                Without it the most likely motion is taken.
+            neighbours: (W, K, M, 3) what the vehicles see of others; None: those of their own world.
+
+        Raises:
+            UserError: the dynamics model predicts something that is not finite.
+        """
+        shape = state.pose.shape[:2]
+        command = self._in_force(state, torch.as_tensor(command, dtype=torch.float64), rng)
+        if duration_s is None and rng is not None:
+            duration_s = self._drawn_duration_s(shape, rng)
+        moment = self._moment(state, duration_s, neighbours)
+        commands = [_flattened(values) for values in (command, state.previous_command, state.earlier_command)]
+        displacement, memory = self._motion(moment, commands, {name: _flattened(m) for name, m in state.memory.items()})
+        if rng is not None and self.motion_noise is not None:
+            displacement = self.motion_noise.sample(displacement, rng, self.noise_factor)
+        if not bool(displacement.isfinite().all()):
+            raise UserError(
+                f"the simulation of {self.robot.name!r} predicts a displacement that is not finite: train its dynamics "
+                "model anew"
+            )
+        return State(
+            pose=compose(state.pose, displacement.reshape(*shape, 3)),
+            elapsed_s=state.elapsed_s + moment.duration_s.reshape(shape),
+            previous_command=command,
+            earlier_command=state.previous_command,
+            memory=_unflattened(memory, shape),
+        )
+
+    def observe(self, state: State, rng: torch.Generator | None = None) -> Tensor:
+        """Return the poses (W, K, 3) that the camera measures; with `rng`, with its noise."""
+        pose = self.to_measured(state.pose.reshape(-1, 3)).reshape(state.pose.shape)
+        if rng is not None and self.motion_noise is not None:
+            pose = self.motion_noise.photograph(pose, rng)
+        return pose
+
+    def predict(self, situation: Situation) -> Tensor:
+        """Return the most likely measured displacements (N, 3) that follow N measured situations.
+
+        The actuators' state is that which the two commands before leave; where those are not known, that of rest.
+        """
+        if not self.is_extended:
+            return self.dynamics.predict(situation)
+        moment, measured = self._measured_moment(situation)
+        command = situation.command.double()
+        previous = self._known(situation.previous_command, self.command_at_rest.expand_as(command))
+        earlier = self._known(situation.earlier_command, previous)
+        end = self._end_after([command, previous, earlier], moment)
+        return displacement_between(measured, self.to_measured(end))
+
+    @property
+    def noise_factor(self) -> float:
+        """Factor of all mechanisms on the motion's random part."""
+        factor = 1.0
+        for mechanism in self.mechanisms:
+            factor *= mechanism.noise_factor()
+        return factor
+
+    def to_measured(self, pose: Tensor) -> Tensor:
+        """Return what the camera measures of true poses (N, 3)."""
+        for mechanism in self.mechanisms:
+            pose = mechanism.to_measured(pose, self.conditions)
+        return pose
+
+    def from_measured(self, pose: Tensor) -> Tensor:
+        """Return which true poses (N, 3) are measured like this."""
+        for mechanism in reversed(self.mechanisms):
+            pose = mechanism.from_measured(pose, self.conditions)
+        return pose
+
+    def _in_force(self, state: State, command: Tensor, rng: torch.Generator | None) -> Tensor:
+        """Return the commands (W, K, m) that act on: those sent, or where they are lost those in force before."""
+        arrives = 1.0
+        for mechanism in self.mechanisms:
+            arrives *= mechanism.arrival_probability()
+        if arrives >= 1.0 or (rng is None and arrives >= 0.5):
+            return command
+        before = self._known(state.previous_command, self.command_at_rest.expand_as(command))
+        if rng is None:
+            return before
+        drawn = torch.rand(command.shape[:2], generator=rng, dtype=torch.float64, device=command.device)
+        return torch.where((drawn < arrives)[..., None], command, before)
+
+    def _drawn_duration_s(self, shape: Sequence[int], rng: torch.Generator) -> Tensor | None:
+        """Draw the length of the period, (W, K), the same for all vehicles of a world: they have one controller."""
+        for mechanism in self.mechanisms:
+            drawn = mechanism.draw_duration_s(shape[0], self.robot.period_s, rng)
+            if drawn is not None:
+                return drawn[:, None].expand(*shape)
+        return None
+
+    def _moment(self, state: State, duration_s: Tensor | None, neighbours: Tensor | None) -> Moment:
+        if duration_s is None:
+            duration_s = torch.full_like(state.elapsed_s, self.robot.period_s)
+        if neighbours is None and "neighbours" in self.inputs:
+            neighbours = state.neighbours
+        elif neighbours is None:
+            neighbours = state.pose.new_zeros(*state.pose.shape[:2], 0, 3)
+        return Moment(
+            self.robot,
+            self.conditions,
+            *(_flattened(values) for values in (state.pose, state.elapsed_s, duration_s, neighbours)),
+        )
+
+    def _measured_moment(self, situation: Situation) -> tuple[Moment, Tensor]:
+        """Return N measured situations as mechanisms see them, and the measured poses (N, 3)."""
+        count = len(situation)
+        measured = situation.pose if situation.pose is not None else torch.zeros(count, 3)
+        elapsed_s = situation.elapsed_s if situation.elapsed_s is not None else torch.zeros(count)
+        period_s = self.robot.period_s
+        duration_s = situation.duration_s if situation.duration_s is not None else torch.full((count,), period_s)
+        neighbours = situation.neighbours if situation.neighbours is not None else torch.zeros(count, 0, 3)
+        measured = measured.double()
+        true = self.from_measured(measured)
+        moment = Moment(self.robot, self.conditions, true, elapsed_s.double(), duration_s.double(), neighbours.double())
+        return moment, measured
+
+    def _end_after(self, commands: Sequence[Tensor], moment: Moment) -> Tensor:
+        """Return the true poses (N, 3) after the first of the commands; the others, (N, m), were held before it."""
+        twists = self._twists(moment, commands)
+        memory = remembered_after_long(self.mechanisms, twists, len(commands) - 1)
+        if memory:
+            memory = actuator_motion(self.mechanisms, twists, 1, memory).memory
+        displacement, _ = self._motion(moment, commands, memory)
+        return compose(moment.pose, displacement)
+
+    def _motion(
+        self, moment: Moment, commands: Sequence[Tensor], memory: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return displacements (N, 3) under the first of the commands, (N, m), and what is remembered."""
+        if not self.is_extended:
+            return BaseTwists(self.dynamics, moment, commands).displacement(), {}
+        command, *before = commands
+        previous = self._known(before[0], self.command_at_rest.expand_as(command))
+        filled = [command, previous, self._known(before[1], previous)]
+        motion = period_motion(self.mechanisms, self._twists(moment, filled), memory)
+        displacement = motion.displacement
+        if self.residual:
+            displacement = exp_map(log_map(displacement) + self.residual.twist(moment, command, previous))
+        return displacement, motion.memory
+
+    def _twists(self, moment: Moment, commands: Sequence[Tensor]) -> BaseTwists:
+        """Prepare to ask the dynamics model for commands (N, m) as sent."""
+        given = []
+        for command in commands:
+            for mechanism in self.mechanisms:
+                command = mechanism.transform_command(command, moment)
+            given.append(command)
+        nominal = any(mechanism.follows_clock() for mechanism in self.mechanisms)
+        return BaseTwists(self.dynamics, moment, given, clock_is_nominal=nominal)
+
+    @staticmethod
+    def _known(command: Tensor | None, otherwise: Tensor) -> Tensor:
+        """Return commands (..., m), where there was none another one."""
+        if command is None:
+            return otherwise
+        return torch.where(command.isnan(), otherwise, command.double())
+
+
+def _flattened(values: Tensor) -> Tensor:
+    return values.flatten(0, 1)
+
+
+def _unflattened(memory: Mapping[str, Tensor], shape: Sequence[int]) -> dict[str, Tensor]:
+    return {name: values.reshape(*shape, *values.shape[1:]) for name, values in memory.items()}

@@ -1,0 +1,58 @@
+"""What vehicles carry from one control period to the next."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from swarmtwin.geometry import displacement_between
+
+
+@dataclass(frozen=True)
+class State:
+    """W worlds of K vehicles of one robot at one moment. Nothing in it ever changes: a step returns another state.
+
+    Attributes:
+        pose: (W, K, 3) true poses x_mm, y_mm, heading_rad in the arena's frame, float64.
+        elapsed_s: (W, K) time since the session began.
+        previous_command: (W, K, m) the command that was in force last; NaN where none was.
+        earlier_command: (W, K, m) the command in force before that one; NaN where none was.
+        memory: what actuators and mechanisms carry on, each (W, K, ...), by name.
+    """
+
+    pose: Tensor
+    elapsed_s: Tensor
+    previous_command: Tensor
+    earlier_command: Tensor
+    memory: Mapping[str, Tensor] = field(default_factory=dict)
+
+    @property
+    def neighbours(self) -> Tensor:
+        """The others of its world as seen from each vehicle, (W, K, K − 1, 3): forward_mm, left_mm, turn_rad."""
+        vehicles = self.pose.shape[1]
+        others = torch.tensor(
+            [[other for other in range(vehicles) if other != own] for own in range(vehicles)], dtype=torch.long
+        )
+        return displacement_between(self.pose[:, :, None], self.pose[:, others.reshape(vehicles, vehicles - 1)])
+
+    def __getitem__(self, worlds: Tensor | slice) -> "State":
+        return State.of_parts({name: values[worlds] for name, values in self.parts().items()})
+
+    def with_worlds(self, worlds: Tensor, other: "State") -> "State":
+        """Return it with the worlds at indices (n,) replaced by the n worlds of another state."""
+        changed = {name: values.clone() for name, values in self.parts().items()}
+        for name, values in other.parts().items():
+            changed[name][worlds] = values
+        return State.of_parts(changed)
+
+    def parts(self) -> dict[str, Tensor]:
+        """Return all its tensors by name, for a checkpoint; those of the memory begin with `memory: `."""
+        named = {name: getattr(self, name) for name in ("pose", "elapsed_s", "previous_command", "earlier_command")}
+        return named | {f"memory: {name}": values for name, values in self.memory.items()}
+
+    @classmethod
+    def of_parts(cls, parts: Mapping[str, Tensor]) -> "State":
+        """Put a state together from its `parts`."""
+        memory = {name.removeprefix("memory: "): part for name, part in parts.items() if name.startswith("memory: ")}
+        return cls(**{name: part for name, part in parts.items() if not name.startswith("memory: ")}, memory=memory)

@@ -1,0 +1,104 @@
+"""All effects that are switched on, combined: the shared machine that runs them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from swarmtwin.geometry import rotate
+from swarmtwin.robot import Robot
+from swarmtwin.standin.effect import Effect, Placement, Rng
+
+
+class ActiveEffects:
+    """What the physics asks for at each of its places. Without effects every answer is neutral.
+
+    Attributes:
+        delay_s: how late each command arrives.
+        loss_probability: how probably a command never arrives.
+        lag_s: what is added to the actuators' time constant.
+        backlash: travel lost at each reversal, mm or rad.
+        trim_rad: angle of the fin when it is told to be straight.
+        noise_factor: factor on the random part of the motion.
+        ages: whether anything changes as the session goes on.
+    """
+
+    def __init__(self, robot: Robot, effects: Sequence[Effect] = ()) -> None:
+        self.robot = robot
+        self.effects = tuple(effects)
+        self.delay_s = sum(effect.command_delay_s() for effect in effects)
+        self.loss_probability = 1.0 - float(np.prod([1.0 - effect.loss_probability() for effect in effects]))
+        self.lag_s = sum(effect.lag_s() for effect in effects)
+        self.backlash = sum(effect.backlash() for effect in effects)
+        self.trim_rad = sum(effect.trim_rad() for effect in effects)
+        self.noise_factor = float(np.prod([effect.noise_factor() for effect in effects]))
+        self.ages = any(effect.ages for effect in effects)
+        self._strength = self._overriding("strength")
+        self._grip = self._overriding("traction")
+        self._carried = self._overriding("drift_velocity_mm_s")
+        self._magnification = self._overriding("magnification")
+        self._marker = np.sum([effect.marker() for effect in effects] or [(0.0, 0.0, 0.0)], axis=0)
+
+    def _overriding(self, hook: str) -> tuple[Effect, ...]:
+        return tuple(effect for effect in self.effects if getattr(type(effect), hook) is not getattr(Effect, hook))
+
+    @property
+    def are_local(self) -> bool:
+        """Whether the motion depends on where the vehicle is or goes, or on its neighbours."""
+        return bool(self._grip or self._carried)
+
+    def transform_command(self, command: np.ndarray) -> np.ndarray:
+        """Return what the electronics make of commands (m, ...)."""
+        for effect in self.effects:
+            command = effect.transform_command(command, self.robot)
+        return command
+
+    def strength(self, placement: Placement) -> Any:
+        """Return the factor on the actuators' speed, broadcasting to (actuators, ...)."""
+        factor: Any = 1.0
+        for effect in self._strength:
+            factor = factor * effect.strength(placement)
+        return factor
+
+    def traction(self, placement: Placement) -> Any:
+        """Return the factor on how far the actuators bring the vehicle, broadcasting to (...)."""
+        factor: Any = 1.0
+        for effect in self._grip:
+            factor = factor * effect.traction(placement, self.robot.arena_mm)
+        return factor
+
+    def drift_velocity_mm_s(self, placement: Placement) -> tuple[Any, Any]:
+        """Return the velocity along x and y of the arena that is added to the vehicle's own."""
+        x_mm_s: Any = 0.0
+        y_mm_s: Any = 0.0
+        for effect in self._carried:
+            more_x, more_y = effect.drift_velocity_mm_s(placement)
+            x_mm_s, y_mm_s = x_mm_s + more_x, y_mm_s + more_y
+        return x_mm_s, y_mm_s
+
+    def durations(self, nominal: np.ndarray, rng: Rng) -> np.ndarray:
+        """Return the true lengths of periods."""
+        for effect in self.effects:
+            nominal = effect.durations(nominal, rng)
+        return nominal
+
+    def seen(self, pose: np.ndarray) -> np.ndarray:
+        """Return true poses (..., 3) as a camera without noise would measure them."""
+        if not self._magnification and not self._marker.any():
+            return pose
+        forward_mm, left_mm, turn_rad = self._marker.tolist()
+        offset = np.broadcast_to(np.array([forward_mm, left_mm], pose.dtype), pose[..., :2].shape)
+        position = pose[..., :2] + rotate(offset, pose[..., 2])
+        if self._magnification:
+            position = self._through_lens(position)
+        return np.concatenate([position, pose[..., 2:] + turn_rad], axis=-1)
+
+    def _through_lens(self, position_mm: np.ndarray) -> np.ndarray:
+        arena = self.robot.arena_mm
+        centre = ((arena.low_mm + arena.high_mm) / 2).astype(position_mm.dtype)
+        corner_mm = float(np.linalg.norm(arena.high_mm - arena.low_mm)) / 2
+        from_centre = position_mm - centre
+        radius = np.sqrt(np.sum(from_centre**2, axis=-1, keepdims=True)) / corner_mm
+        for effect in self._magnification:
+            from_centre = from_centre * effect.magnification(radius)
+        return centre + from_centre

@@ -1,0 +1,152 @@
+"""`swarmtwin experiment name=dynamics`: tables 1 and 2 of the paper, trained on real data, with what they lack.
+
+Each model is measured on runs it has never seen, beside the noise floor, a plain MLP and the kinematic model.
+"""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import pandas as pd
+from rich.console import Console
+
+from swarmtwin.dynamics.error_plots import comparison_figure
+from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.errors import UserError
+from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.robot import Arena, Robot, StrictModel
+from swarmtwin.simulation.evaluation import Measured, Measurement, load_simulation, measure
+from swarmtwin.simulation.open_loop_plots import runs_figure
+from swarmtwin.studies.dynamics.table import figure_columns, model_table
+from swarmtwin.tracking.runs import tracked_run
+
+DRAWN = ("crnet", "fcnn")
+
+
+class Options(StrictModel):
+    """Options; their defaults stand in conf/experiment/dynamics.yaml."""
+
+    name: Literal["dynamics"]
+    robot: Robot
+    models: Path
+    train_vehicle: Path
+    other_vehicle: Path
+    open_loop: Path
+    output: Path
+    overwrite: bool
+
+    @property
+    def recordings(self) -> dict[str, Path]:
+        """The recordings to measure on, by what they are for."""
+        return {name: getattr(self, name) for name in ("train_vehicle", "other_vehicle", "open_loop")}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One trained model and how it measures on each recording."""
+
+    name: str
+    folder: Path
+    parameters: int
+    provenance: Provenance
+    measurements: dict[str, Measurement]
+
+
+def run(options: Options) -> None:
+    """Measure all models, save table, pictures and the best of them, and show the table.
+
+    Raises:
+        UserError: there is no model, a recording is missing, or the output is taken.
+    """
+    settings = options.model_dump(mode="json")
+    inputs = [options.models, *options.recordings.values()]
+    check_output(options.output, "experiment", options.overwrite, inputs)
+    with tracked_run("dynamics", f"{options.robot.name} models compared", settings, inputs) as tracked:
+        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
+            entries = _entries(options)
+            best = best_entry(entries)
+            _save(folder, entries, best, options.robot.arena_mm)
+        for entry in entries:
+            for recording, measurement in entry.measurements.items():
+                figures = measurement.overall.tracked()
+                tracked.metrics({f"{entry.name}/{recording}/{key}": value for key, value in figures.items()})
+        tracked.tag("best_model", best.name)
+        tracked.folder(options.output, "comparison")
+    Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
+
+
+def best_entry(entries: Sequence[Entry]) -> Entry:
+    """Return the model with the smallest errors on the validation runs, position and orientation weighed alike.
+
+    Only models trained on real transitions compete: errors on synthetic validation rows are not comparable with theirs.
+
+    Raises:
+        UserError: there is none.
+    """
+    competing = [entry for entry in entries if entry.provenance.origin == "real"]
+    if not competing:
+        raise UserError("no model was trained on real transitions alone, so none can be chosen: train one of them so")
+    lowest = {
+        name: min(entry.provenance.chosen.errors[name] for entry in competing)
+        for name in ("position_mm", "orientation_deg")
+    }
+    return min(competing, key=lambda entry: sum(entry.provenance.chosen.errors[name] / lowest[name] for name in lowest))
+
+
+def _entries(options: Options) -> list[Entry]:
+    """Measure every model folder on every recording; the worst comes first, as in the paper's tables."""
+    if not options.models.is_dir():
+        raise UserError(f"no folder {options.models} with models: run `dvc repro` first")
+    folders = sorted(folder for folder in options.models.iterdir() if (folder / "model.yaml").exists())
+    if not folders:
+        raise UserError(f"{options.models} holds no model folder: run `dvc repro` first")
+    measured = {
+        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
+    }
+    entries = []
+    for folder in folders:
+        simulation, provenance = load_simulation(folder, options.robot)
+        measurements = {place: measure(simulation, provenance, each) for place, each in measured.items()}
+        parameters = sum(weights.numel() for weights in simulation.parameters())
+        name = _name(folder, provenance)
+        entries.append(Entry(name, folder, parameters, provenance, measurements))
+    return sorted(entries, key=_train_vehicle_position_mm, reverse=True)
+
+
+def _name(folder: Path, provenance: Provenance) -> str:
+    """Return what a model is called: its folder's name, with the paper's -S where it knows synthetic data alone."""
+    return f"{folder.name.removesuffix('_synthetic')}-S" if provenance.origin == "synthetic" else folder.name
+
+
+def _train_vehicle_position_mm(entry: Entry) -> float:
+    return entry.measurements["train_vehicle"].overall.one_step.position_mm
+
+
+def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> None:
+    metrics = {e.name: {name: m.metrics() for name, m in e.measurements.items()} for e in entries}
+    write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
+    rows = [row | {"best": entry is best} for entry in entries for row in _rows(entry)]
+    pd.DataFrame(rows).to_csv(folder / "table.csv", index=False)
+    shutil.copytree(best.folder, folder / "best")
+    for entry in entries:
+        if entry.name in DRAWN or entry is best:
+            runs_figure(entry.measurements["open_loop"].runs, arena).savefig(folder / f"runs_{entry.name}.png")
+    for recording in ("train_vehicle", "other_vehicle"):
+        one_step = {entry.name: entry.measurements[recording].overall.one_step for entry in entries}
+        overall = best.measurements[recording].overall
+        figure = comparison_figure(one_step, overall.floor, overall.floor_kind != "exact")
+        figure.savefig(folder / f"errors_{recording}.png")
+
+
+def _rows(entry: Entry) -> list[dict[str, object]]:
+    about = {"model": entry.name, "parameters": entry.parameters}
+    dead = sum(outcome.dead is not None for outcome in entry.provenance.seeds)
+    seeds = {"dead_seeds": dead, "seeds": len(entry.provenance.seeds)}
+    return [
+        {**about, "recording": name, **figure_columns(measurement.overall), **seeds}
+        for name, measurement in entry.measurements.items()
+    ]

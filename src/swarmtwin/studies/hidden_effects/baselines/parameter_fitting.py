@@ -1,0 +1,164 @@
+"""Parameter fitting without model choice: every mechanism that makes sense is fitted at once, right or not."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.reference import Reference, conditions_of
+from swarmtwin.geometry import exp_map, log_map
+from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
+from swarmtwin.transitions import Transitions
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """How all parameters are fitted at once.
+
+    Attributes:
+        iterations: of Levenberg and Marquardt's method.
+        damping: of its steps.
+        clip_z: standardised residuals are clipped here.
+        named_z: standard errors from nothing from which on a mechanism is named; the default is a 95 % interval's.
+        most_transitions: fitted to, the first runs: about as many as fit into a few seconds.
+        steady_clock: spread of the periods, as a share of them, below which they are as they should be.
+    """
+
+    iterations: int = 3
+    damping: float = 1e-3
+    clip_z: float = 4.0
+    named_z: float = 1.959964
+    most_transitions: int = 2500
+    steady_clock: float = 0.01
+
+
+@dataclass(frozen=True)
+class FittedParameters:
+    """What came out.
+
+    Attributes:
+        values: of all parameters, by mechanism and name.
+        named: mechanisms of which a parameter's 95 % interval excludes the value at which it does nothing, the one
+            farthest outside first.
+    """
+
+    values: Mapping[tuple[str, str], float]
+    named: tuple[str, ...]
+
+
+def fit_all(reference: Reference, transitions: Transitions, settings: JointFit | None = None) -> FittedParameters:
+    """Fit all mechanisms together by least squares (Levenberg-Marquardt), with intervals by runs.
+
+    `noise_change` and `timing_jitter` leave the mean as it is: the spread of the residuals that are left, and of the
+    periods, tells of them.
+    """
+    settings = settings or JointFit()
+    conditions = conditions_of(transitions).model_copy(update={"track_mm": reference.session.conditions.track_mm})
+    session = _first_runs(MeasuredSession.of(transitions, conditions), settings.most_transitions)
+    model = LikelihoodModel(reference.base, reference.noise, session, settings=reference.settings)
+    kinds = [kind for kind in offered(model.robot, conditions).values() if _has_null_value(kind, model)]
+    search = _Search(model, kinds, settings)
+    values = search.run()
+    strengths = search.strengths(values)
+    strengths |= search.spreads(search.residual(values))
+    named = sorted((name for name, z in strengths.items() if z > settings.named_z), key=lambda name: -strengths[name])
+    keys = [(kinds[number].model_fields["name"].default, name) for number, name, _ in search.parameters]
+    return FittedParameters(dict(zip(keys, values.tolist(), strict=True)), tuple(named))
+
+
+def _first_runs(session: MeasuredSession, most: int) -> MeasuredSession:
+    """Keep the first runs, about as many transitions as asked for."""
+    if len(session) <= most:
+        return session
+    return session.where(session.run <= session.run[np.argsort(session.run, kind="stable")[most]])
+
+
+def _has_null_value(kind: type[Mechanism], model: LikelihoodModel) -> bool:
+    name = kind.model_fields["name"].default
+    return name not in ("noise_change", "timing_jitter") and bool(model.parameters([kind]))
+
+
+class _Search:
+    """The joint least-squares problem over the parameters of several mechanisms."""
+
+    def __init__(self, model: LikelihoodModel, kinds: Sequence[type[Mechanism]], settings: JointFit) -> None:
+        self.model, self.kinds, self.settings = model, kinds, settings
+        self.parameters: list[tuple[int, str, Parameter]] = model.parameters(kinds)
+        self.low = np.array([parameter.low for _, _, parameter in self.parameters])
+        self.high = np.array([parameter.high for _, _, parameter in self.parameters])
+        self.step = np.array([parameter.response_step for _, _, parameter in self.parameters])
+        self.by_run = model.session.by_run
+
+    def run(self) -> np.ndarray:
+        """Return the values (P,) found from where every mechanism does nothing."""
+        values = np.array(
+            [q.initial_values[0] if q.null_value is None else q.null_value for _, _, q in self.parameters]
+        )
+        for _ in range(self.settings.iterations):
+            residual, response = self.residual(values), self.response(values)
+            normal, pull = self._normal(residual, response)
+            change = -np.linalg.solve(normal + self.settings.damping * np.diag(np.diag(normal) + 1.0), pull)
+            shorter = [np.clip(values + part * self.step * change, self.low, self.high) for part in (1.0, 0.3, 0.1)]
+            best = min(shorter, key=lambda tried: self._loss(self.residual(tried)))
+            if self._loss(self.residual(best)) >= self._loss(residual):
+                break
+            values = best
+        return values
+
+    def residual(self, values: np.ndarray) -> np.ndarray:
+        """Return standardised residuals (N, 3)."""
+        mechanisms = [one for one in self.model.assembled(self.kinds, values) if not self._does_nothing(one)]
+        possible = self.model.outcomes(mechanisms)
+        mean = torch.stack([one.probability * exp_map(one.twist) for one in possible]).sum(dim=0)
+        whitened: np.ndarray = self.model.whitener(self.model.session.residual_of(log_map(mean))).numpy()
+        return whitened
+
+    def _does_nothing(self, mechanism: Mechanism) -> bool:
+        parameters = self.model.parameters([type(mechanism)])
+        return all(one.null_value is None or getattr(mechanism, name) == one.null_value for _, name, one in parameters)
+
+    def response(self, values: np.ndarray) -> np.ndarray:
+        """Return (N, 3, P) how residuals change with each parameter, per step of it."""
+        here = self.residual(values)
+        columns = []
+        for index, step in enumerate(self.step):
+            moved = values.copy()
+            moved[index] += step if values[index] + step <= self.high[index] else -step
+            columns.append((self.residual(moved) - here) * np.sign(moved[index] - values[index]))
+        return np.stack(columns, axis=-1)
+
+    def strengths(self, values: np.ndarray) -> dict[str, float]:
+        """Return for each mechanism by how many standard errors its size differs from nothing."""
+        residual, response = self.residual(values), self.response(values)
+        normal, _ = self._normal(residual, response)
+        inverse = np.linalg.pinv(normal, rcond=1e-8)
+        influence = self.by_run(np.einsum("nd,ndp->np", self._held(residual), response)) @ inverse
+        error = np.sqrt((influence**2).sum(axis=0)) * self.step + 1e-12
+        strengths: dict[str, float] = {}
+        for (number, _, parameter), value, own in zip(self.parameters, values, error, strict=True):
+            if parameter.null_value is not None:
+                name = self.kinds[number].model_fields["name"].default
+                strengths[name] = max(strengths.get(name, 0.0), float(abs(value - parameter.null_value) / own))
+        return strengths
+
+    def spreads(self, residual: np.ndarray) -> dict[str, float]:
+        """Return by how many standard errors the residuals' and the periods' spread differ from the usual one."""
+        transitions = self.model.session.transitions
+        count = self.by_run(np.ones(len(transitions)))
+        squared = self.by_run(self._held(residual) ** 2).sum(axis=1) / (3 * count)
+        noise = abs(squared.mean() - 1.0) / (squared.std(ddof=1) / np.sqrt(len(squared)) + 1e-12)
+        is_steady = (transitions.duration_s / self.model.robot.period_s).std() <= self.settings.steady_clock
+        return {"noise_change": float(noise), "timing_jitter": 0.0 if is_steady else float("inf")}
+
+    def _held(self, residual: np.ndarray) -> np.ndarray:
+        return np.clip(residual, -self.settings.clip_z, self.settings.clip_z)
+
+    def _normal(self, residual: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        pull = np.einsum("nd,ndp->p", self._held(residual), response)
+        return np.einsum("ndp,ndq->pq", response, response), pull
+
+    def _loss(self, residual: np.ndarray) -> float:
+        return float((self._held(residual) ** 2).sum())

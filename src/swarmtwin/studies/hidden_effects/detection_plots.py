@@ -1,0 +1,139 @@
+"""The pictures of the study: which cause is taken for which, what size is found, how right the parameters are."""
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
+from swarmtwin.studies.hidden_effects.cases import CATALOGUE, OUTSIDE
+from swarmtwin.studies.hidden_effects.metrics import Proportion
+
+
+def confusion(results: pd.DataFrame) -> pd.DataFrame:
+    """Count what was hidden in sessions with at most one effect (rows) against what was named first (columns).
+
+    After the catalogue's causes come those that the diagnosis knows beside them, such as a user's own, then no name,
+    nothing wrong, and diagnoses that failed.
+    """
+    one = results[results.kind.isin(["single", "outside", "clean"])]
+    hidden = one.variety.where(one.kind != "clean", "nothing wrong")
+    silent = one.verdict.map({"unexplained": "no name", "explained": "no name", "no_gap": "nothing wrong"})
+    first = one.named.str.split("+").str[0]
+    named = first.where(first != "", silent.fillna("failed"))
+    others = sorted(set(first) - {"", *CATALOGUE})
+    failed = ["failed"] if (named == "failed").any() else []
+    rows = [name for name in (*CATALOGUE, *OUTSIDE, "nothing wrong") if name in set(hidden)]
+    columns = [*CATALOGUE, *others, "no name", "nothing wrong", *failed]
+    return pd.crosstab(hidden, named).reindex(index=rows, columns=columns, fill_value=0)
+
+
+def confusion_figure(results: pd.DataFrame) -> Figure:
+    """Draw which cause is taken for which; what is right stands on the diagonal and in the last columns."""
+    counts = confusion(results)
+    share = counts.to_numpy() / counts.sum(axis=1).to_numpy()[:, None]
+    with style():
+        figure = Figure(figsize=(9, 0.24 * len(counts) + 2.6), layout="constrained")
+        axes = figure.subplots()
+        axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+        for row, column in np.argwhere(share):
+            colour = "white" if share[row, column] > 0.6 else MEASURED
+            text = str(counts.iloc[row, column])
+            axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
+        axes.set_xticks(range(len(counts.columns)), list(counts.columns), rotation=60, ha="right")
+        axes.set_yticks(range(len(counts)), list(counts.index))
+        axes.set(xlabel="named first", ylabel="hidden")
+        axes.grid(False)
+    return figure
+
+
+def by_rise(results: pd.DataFrame, happened: str) -> list[tuple[float, Proportion]]:
+    """Return how often a column is true, by how much the effect raised the error: median of each bin, and share."""
+    rates = []
+    rise_percent = results.rise_percent.clip(lower=0.0)
+    for low, high in pairwise((0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 1000.0)):
+        inside = rise_percent.between(low, high, inclusive="left")
+        if inside.any():
+            middle = float(rise_percent[inside].clip(lower=0.3).median())  # no less: the axis is logarithmic
+            rates.append((middle, Proportion.of(results[happened][inside])))
+    return rates
+
+
+def detection_figure(results: pd.DataFrame) -> Figure:
+    """Draw how often single effects are found and named, by how much they raise the error, beside other methods."""
+    single = results[results.kind == "single"]
+    compared = single[single.with_baselines]
+    lines = {
+        "found": (FLOOR, "--", by_rise(single, "found")),
+        "named first": (PREDICTED, "-", by_rise(single, "named_first")),
+        "named first: parameter fitting": (MEASURED, "-", by_rise(compared, "fitting_first")),
+        "named first: correlation rules": ("#8d99ae", "-", by_rise(compared, "rule_first")),
+    }
+    ticks_percent = (0.3, 1, 3, 10, 30, 100)
+    with style():
+        figure = Figure(figsize=(6.5, 4), layout="constrained")
+        axes = figure.subplots()
+        for label, (colour, line, rates) in lines.items():
+            if rates:
+                value = np.array([share.share for _, share in rates], float)
+                ends = [np.array([getattr(share, end) for _, share in rates], float) for end in ("low", "high")]
+                around = np.clip([value - ends[0], ends[1] - value], 0.0, None)
+                at = [middle for middle, _ in rates]
+                axes.errorbar(
+                    at,
+                    value,
+                    yerr=around,
+                    color=colour,
+                    linestyle=line,
+                    marker="o",
+                    markersize=4,
+                    capsize=2,
+                    label=label,
+                )
+        axes.set(xscale="log", ylim=(-0.02, 1.02), ylabel="share of sessions, 95 % interval")
+        axes.set_xticks(ticks_percent, [f"{tick:g}" for tick in ticks_percent])
+        axes.minorticks_off()
+        axes.set_xlabel("one-step error raised by the effect, %")
+        axes.set_title(f"{len(single)} sessions with one effect of the catalogue")
+        figure.legend(loc="outside lower center", ncols=2)
+    return figure
+
+
+def parameters_figure(parameters: pd.DataFrame) -> Figure:
+    """Draw each parameter's relative errors, a dot a session; those outside their interval in red."""
+    sized = parameters[(parameters.kind == "single") & parameters.error_percent.notna()]
+    groups = list(sized.groupby(sized.cause + ": " + sized.name))
+    with style():
+        figure = Figure(figsize=(7, 0.24 * len(groups) + 1.6), layout="constrained")
+        axes = figure.subplots()
+        for row, (_, group) in enumerate(groups):
+            errors, inside = group.error_percent.clip(lower=0.02), group.covered.astype(bool)
+            for chosen, colour in ((inside, FLOOR), (~inside, PREDICTED)):
+                axes.plot(errors[chosen], np.full(chosen.sum(), row), "o", markersize=3, alpha=0.6, color=colour)
+            axes.plot(errors.median(), row, "|", markersize=12, color=MEASURED)
+        axes.axvline(3.0, color=MEASURED, linewidth=0.8, linestyle=":")
+        axes.set(xscale="log", xlabel="error, % of the true value (bar: median; red: outside its interval)")
+        axes.set_yticks(range(len(groups)), [str(name) for name, _ in groups])
+    return figure
+
+
+def clean_figure(results: pd.DataFrame) -> Figure:
+    """Draw how often a cause was named where nothing is wrong, by kind of session, with upper bounds."""
+    clean = results[results.kind == "clean"]
+    groups = [*clean.groupby("variety", sort=False), ("all", clean)]
+    with style():
+        figure = Figure(figsize=(6, 0.3 * len(groups) + 1.2), layout="constrained")
+        axes = figure.subplots()
+        for row, (_, group) in enumerate(groups):
+            share = Proportion.of(group.named != "")
+            axes.plot([share.share or 0.0, share.at_most], [row, row], color=FLOOR)
+            axes.plot(share.share or 0.0, row, "o", color=PREDICTED if share.count else FLOOR)
+            axes.annotate(f" {share.count} of {share.total}", (share.at_most, row), va="center", fontsize=8)
+        axes.axvline(0.01, color=MEASURED, linewidth=0.8, linestyle=":")
+        axes.set(
+            xlabel="share of clean sessions in which a cause is named; line: upper 95 % bound", xlim=(-0.005, None)
+        )
+        axes.set_yticks(range(len(groups)), [str(name) for name, _ in groups])
+        axes.invert_yaxis()
+    return figure

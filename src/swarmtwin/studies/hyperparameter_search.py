@@ -1,0 +1,208 @@
+"""A search for hyper-parameters of a dynamics model: trials of one Optuna study, trained side by side."""
+
+import logging
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.trial import TrialState
+
+from swarmtwin.dynamics.model_config import ModelConfig, model_config
+from swarmtwin.dynamics.training import train
+from swarmtwin.errors import UserError, near_miss
+from swarmtwin.learning.parallel import Report, run_side_by_side
+from swarmtwin.learning.recipe import Recipe
+from swarmtwin.learning.trainer import Device
+from swarmtwin.learning.tuning import Range, SharedStudy, identity, trials_done
+from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.tracking.runs import parent_run, tracked_run
+from swarmtwin.transitions import Preparation, SplitOptions, Transitions
+from swarmtwin.transitions.inputs import Vehicles, training_transitions
+
+logger = logging.getLogger(__name__)
+
+
+class HyperparameterSearch(StrictModel):
+    """What is searched: where each option may lie, and all that stays the same.
+
+    Attributes:
+        robot: whose motion is learned.
+        model: options of the dynamics model, as in conf/model.
+        recipe: options of its training, as in conf/recipe.
+        space: the options searched, such as `recipe.learning_rate`.
+        split: of a recording by runs.
+        transitions: the folder to learn from, or
+        recording: the recording to learn from.
+        vehicles: of the recording, None for all.
+        device: where models are trained.
+        seed: of the sampler and of each training.
+    """
+
+    robot: Robot
+    model: dict[str, Any]
+    recipe: dict[str, Any]
+    space: dict[str, Range]
+    split: SplitOptions
+    transitions: Path | None
+    recording: Path | None
+    vehicles: Vehicles
+    device: Device
+    seed: Seed
+
+    def run(self, name: str | None, storage: str | None, trials: int, workers: int) -> optuna.Study:
+        """Search until the study holds as many trials as asked for, and return it.
+
+        Args:
+            name: of the study; None: one made of what it is for.
+            storage: a journal file or a database's URL; None: a journal under outputs/tune.
+            trials: that end, well or badly, those of former calls among them.
+            workers: processes that work on them.
+
+        Raises:
+            UserError: an option of the space does not exist, the data or the storage are at fault, or the study was
+                made for something else.
+        """
+        whole_numbers = self._check_space()
+        transitions, preparation, _ = self.data()
+        prefix = f"{self.robot.name}-{self.model['name']}"
+        shared = SharedStudy.named(name, prefix, storage, self._made_for(transitions.robot, preparation))
+        study = shared.open()
+        done, begun = trials_done(study), len(study.get_trials(deepcopy=False))
+        logger.info("study %s in %s: %d trials there, %d asked for", shared.name, shared.place, done, trials)
+        shares = [len(range(number, trials - done, workers)) for number in range(workers)]
+        jobs = [
+            _Worker(self, shared, whole_numbers, share, begun, number, alone=workers == 1)
+            for number, share in enumerate(shares)
+            if share
+        ]
+        if jobs:
+            with parent_run("dynamics", f"tune {shared.name}", "study"):
+                run_side_by_side(jobs, None, len(jobs))
+        return study
+
+    def data(self) -> tuple[Transitions, Preparation, Path]:
+        """Return what is learned from, how it came about, and the folder that it comes from."""
+        return training_transitions(self.robot, self.transitions, self.recording, self.vehicles, self.split)
+
+    def configured(self, values: Mapping[str, Any]) -> tuple[ModelConfig, Recipe]:
+        """Return model and recipe with the values of a trial put in."""
+        groups = {"model": dict(self.model), "recipe": dict(self.recipe)}
+        for name, value in values.items():
+            group, field = name.split(".", 1)
+            groups[group][field] = value
+        return model_config(groups["model"], "model"), Recipe.parse(groups["recipe"], "recipe")
+
+    def _check_space(self) -> frozenset[str]:
+        """Refuse a space whose options do not exist or refuse its values; return those that take whole numbers."""
+        known = [f"{group}.{field}" for group in ("model", "recipe") for field in getattr(self, group)]
+        for name in self.space:
+            if name not in known:
+                raise UserError(f"space: no option {name!r}: {near_miss(name, known)}")
+        self.configured({})
+        try:
+            return frozenset(
+                name
+                for name, found in self.space.items()
+                if found.takes_whole_numbers(name, partial(self._configured_with, name))
+            )
+        except UserError as error:
+            raise UserError(f"space: {error}") from None
+
+    def _configured_with(self, name: str, value: Any) -> tuple[ModelConfig, Recipe]:
+        return self.configured({name: value})
+
+    def _made_for(self, robot: Robot, preparation: Preparation) -> dict[str, str]:
+        """Identify what the trials of a study have in common: everything but the values searched, and the seed."""
+        config, recipe = self.configured({})
+        groups = {"model": config.model_dump(mode="json"), "recipe": recipe.model_dump(mode="json")}
+        for name in self.space:
+            group, field = name.split(".", 1)
+            del groups[group][field]
+        return identity(
+            {
+                "robot": robot.model_dump(mode="json"),
+                **groups,
+                "space": {name: found.model_dump(mode="json") for name, found in self.space.items()},
+                "data": [preparation.digest, preparation.vehicles],
+                "split": preparation.model_dump(mode="json", include={"fractions", "seed"}),
+            }
+        )
+
+
+@dataclass(frozen=True)
+class _Worker:
+    """One process's share of the trials.
+
+    Attributes:
+        search: what is searched.
+        shared: the study that all workers add to.
+        whole_numbers: the options that take whole numbers alone.
+        trials: how many it adds.
+        begun: how many trials the study held before: with `number`, it makes the sampler's random numbers its own.
+        number: of the worker.
+        alone: whether no other worker adds trials meanwhile.
+    """
+
+    search: HyperparameterSearch
+    shared: SharedStudy
+    whole_numbers: frozenset[str]
+    trials: int
+    begun: int
+    number: int
+    alone: bool
+
+    @property
+    def seed(self) -> int:
+        """The sampler's seed."""
+        return int(np.random.SeedSequence([self.search.seed, self.begun, self.number]).generate_state(1)[0])
+
+    def run(self, report: Report | None) -> None:
+        """Add the trials to the study; one that fails is told in a line and counts as failed."""
+        transitions, _, source = self.search.data()
+        study = self.shared.open(optuna.samplers.TPESampler(seed=self.seed, constant_liar=not self.alone))
+        for _ in range(self.trials):
+            trial = study.ask()
+            try:
+                loss = self._loss(trial, transitions, source)
+            except (UserError, RuntimeError, MemoryError) as error:
+                reason = (str(error).strip().splitlines() or ["out of memory"])[0]
+                logger.warning("trial %d failed: %s", trial.number, reason)
+                study.tell(trial, state=TrialState.FAIL)
+            else:
+                study.tell(trial, loss)
+
+    def _loss(self, trial: optuna.Trial, transitions: Transitions, source: Path) -> float:
+        """Train with values that Optuna suggests; return the validation loss."""
+        space, seed = self.search.space, self.search.seed
+        values = {name: found.suggest(trial, name, name in self.whole_numbers) for name, found in space.items()}
+        config, recipe = self.search.configured(values)
+        settings = {"model": config.model_dump(mode="json"), "recipe": recipe.model_dump(mode="json")}
+        name = f"{self.shared.name} trial {trial.number}"
+        with tracked_run("dynamics", name, settings, [source], seed) as tracked, _no_warnings():
+            trained = train(transitions, config, recipe, [seed], processes=1, device=self.search.device)
+            best = trained.best.history[trained.best.best - 1]
+            errors = {
+                "validation_position_mm": best.validation_position_mm,
+                "validation_orientation_deg": best.validation_orientation_deg,
+            }
+            tracked.metrics({**errors, "validation_loss": trained.best.validation_loss})
+        for error, figure in errors.items():
+            trial.set_user_attr(error, figure)
+        return trained.best.validation_loss
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Keep trainings from telling what the one line about their trial tells."""
+    training = logging.getLogger("swarmtwin.dynamics")
+    level = training.level
+    training.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        training.setLevel(level)

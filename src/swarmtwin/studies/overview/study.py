@@ -1,0 +1,231 @@
+"""`swarmtwin experiment name=overview`: the whole pipeline on one page, and as tables in the terminal."""
+
+import base64
+import json
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import pandas as pd
+from jinja2 import Environment, PackageLoader
+from rich.console import Console
+from rich.table import Table
+
+from swarmtwin.diagnosis.report.page import CAPTIONS, Bars, gain_bars, leading_pictures
+from swarmtwin.diagnosis.report.sentences import verdict_words
+from swarmtwin.diagnosis.result import DiagnosisResult
+from swarmtwin.dynamics.model_folder import read_description
+from swarmtwin.errors import UserError
+from swarmtwin.files import new_folder
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.studies.dynamics.table import ModelRow, model_rows, model_table
+from swarmtwin.studies.synthetic.table import CaseRow, case_rows, case_table
+from swarmtwin.studies.transfer.table import PolicyRow, policy_rows, policy_table
+from swarmtwin.tracking import registry
+from swarmtwin.transitions import Preparation, load_preparation
+
+
+class Options(StrictModel):
+    """Options; their defaults stand in conf/experiment/overview.yaml."""
+
+    name: Literal["overview"]
+    robots: tuple[str, ...]
+    artifacts: Path
+    output: Path
+    overwrite: bool
+
+
+class Chapter(NamedTuple):
+    """What the pipeline made for one robot, as far as it has run.
+
+    Attributes:
+        robot: the robot.
+        preparation: how its transitions came about.
+        models: table.csv of the dynamics models compared.
+        cases: table.csv of models trained on real and on synthetic transitions, None where they are not there yet.
+        policies: table.csv of the policies rolled out, likewise.
+        diagnosis: of a later session, likewise.
+        report: the diagnosis's own page.
+        champions: the promoted version of each registered model.
+        pictures: by section of the page, with their captions.
+        films: with their captions.
+    """
+
+    robot: Robot
+    preparation: Preparation
+    models: pd.DataFrame
+    cases: pd.DataFrame | None
+    policies: pd.DataFrame | None
+    diagnosis: DiagnosisResult | None
+    report: Path
+    champions: dict[str, registry.Version | None]
+    pictures: dict[str, dict[str, Path]]
+    films: dict[str, Path]
+
+    @property
+    def model_rows(self) -> list[ModelRow]:
+        """The models as a person reads them, the floor first."""
+        return model_rows(self.models)
+
+    @property
+    def case_rows(self) -> list[CaseRow]:
+        """Real and synthetic as a person reads them, the floor first."""
+        return [] if self.cases is None else case_rows(self.cases)
+
+    @property
+    def policy_rows(self) -> list[PolicyRow]:
+        """The policies as a person reads them."""
+        return [] if self.policies is None else policy_rows(self.policies)
+
+    @property
+    def verdict(self) -> str:
+        """What the diagnosis says in one sentence."""
+        return "" if self.diagnosis is None else verdict_words(self.diagnosis)
+
+    @property
+    def gain(self) -> list[Bars]:
+        """The errors on the later session before and after the extension."""
+        return [] if self.diagnosis is None else gain_bars(self.diagnosis)
+
+
+PICTURES = {
+    "models": {
+        "transitions/{robot}/coverage.png": "What was recorded: the first runs, the commands, and the displacements "
+        "that followed",
+        "comparison/{robot}/errors_train_vehicle.png": "One-step errors on the vehicle that was learned from, on runs "
+        "the models have not seen",
+        "comparison/{robot}/errors_other_vehicle.png": "One-step errors on another vehicle of the same robot",
+        "comparison/{robot}/runs_crnet.png": "CR-Net: whole runs predicted from the first pose and the commands alone",
+    },
+    "synthetic": {
+        "real_and_synthetic/{robot}/errors.png": "One-step errors of models trained on real and on synthetic "
+        "transitions, with all and with less of the real ones",
+        "synthetic/{robot}/residual_diffusion/quality.png": "Transitions by residual diffusion, an ensemble's mean and "
+        "diffused residuals, beside real ones",
+        "synthetic/{robot}/gan/quality.png": "Transitions by the GAN as published beside real ones",
+    },
+    "policies": {
+        "transfer/{robot}/success.png": "How often the policies succeed, in simulation and on stand-ins",
+        "transfer/{robot}/rewards.png": "Each roll-out's reward in simulation and on stand-ins, from the same start",
+        "transfer/{robot}/paths_{policy}.png": "{policy}: the paths of a typical roll-out",
+    },
+}
+FILM = "transfer/{robot}/{policy}.mp4"
+
+
+def run(options: Options) -> None:
+    """Show the tables and write the page.
+
+    Raises:
+        UserError: the pipeline has not run.
+    """
+    chapters = [_chapter(options.artifacts, robot) for robot in options.robots]
+    with new_folder(options.output, "experiment", options.model_dump(mode="json"), options.overwrite) as folder:
+        (folder / "overview.html").write_text(_page(chapters))
+    console = Console()
+    console.print(_recordings_table(chapters))
+    for chapter in chapters:
+        console.print(model_table(chapter.robot.title, chapter.models))
+    for chapter in chapters:
+        if chapter.cases is not None:
+            console.print(case_table(chapter.robot.title, chapter.cases))
+    for chapter in chapters:
+        if chapter.policies is not None:
+            console.print(policy_table(chapter.robot.title, chapter.policies))
+    for chapter in chapters:
+        if chapter.diagnosis is not None:
+            console.print(f"{chapter.robot.title}, a later session: {chapter.verdict}", highlight=False, soft_wrap=True)
+            console.print(f"the whole diagnosis: {chapter.report}", highlight=False, soft_wrap=True)
+    console.print(_registry_table(chapters))
+    films = [film for chapter in chapters for film in chapter.films.values()]
+    console.print(f"the same with pictures and films: {options.output / 'overview.html'}", highlight=False)
+    if films:
+        console.print(f"the films: {', '.join(map(str, films))}", highlight=False, soft_wrap=True)
+    console.print("every run, to compare: make ui", highlight=False, soft_wrap=True)
+
+
+def _chapter(artifacts: Path, robot_name: str) -> Chapter:
+    comparison = artifacts / "comparison" / robot_name
+    if not (comparison / "table.csv").exists():
+        raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
+    policies = _table(artifacts / "transfer" / robot_name)
+    names = [] if policies is None else list(policies.policy)
+    diagnosis = _diagnosis(artifacts / "diagnosis" / robot_name)
+    pictures = {section: _pictures(artifacts, robot_name, section, names) for section in PICTURES}
+    films = {name: artifacts / FILM.format(robot=robot_name, policy=name) for name in names}
+    return Chapter(
+        robot=read_description(comparison / "best").robot,
+        preparation=load_preparation(artifacts / "transitions" / robot_name),
+        models=pd.read_csv(comparison / "table.csv"),
+        diagnosis=diagnosis,
+        report=artifacts / "diagnosis" / robot_name / "report.html",
+        cases=_table(artifacts / "real_and_synthetic" / robot_name),
+        policies=policies,
+        champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
+        pictures=pictures | {"diagnosis": _leading(artifacts / "diagnosis" / robot_name, diagnosis)},
+        films={name: film for name, film in films.items() if film.exists()},
+    )
+
+
+def _table(folder: Path) -> pd.DataFrame | None:
+    file = folder / "table.csv"
+    return pd.read_csv(file) if file.exists() else None
+
+
+def _diagnosis(folder: Path) -> DiagnosisResult | None:
+    file = folder / "diagnosis.json"
+    if not file.exists():
+        return None
+    try:
+        return DiagnosisResult.parse(json.loads(file.read_text()), str(file))
+    except json.JSONDecodeError as error:
+        raise UserError(f"{file} is damaged ({error}): run `dvc repro` again") from None
+
+
+def _leading(folder: Path, diagnosis: DiagnosisResult | None) -> dict[str, Path]:
+    """Return the pictures that show what a diagnosis found, by their captions."""
+    names = [] if diagnosis is None else leading_pictures(diagnosis)
+    files = {CAPTIONS[name]: folder / "figures" / f"{name}.png" for name in names}
+    return {caption: file for caption, file in files.items() if file.exists()}
+
+
+def _pictures(artifacts: Path, robot: str, section: str, policies: list[str]) -> dict[str, Path]:
+    """Return the pictures of a section that are there, by their captions."""
+    found = {}
+    for path, caption in PICTURES[section].items():
+        for policy in policies if "{policy}" in path else [""]:
+            file = artifacts / path.format(robot=robot, policy=policy)
+            if file.exists():
+                found[caption.format(policy=policy)] = file
+    return found
+
+
+def _recordings_table(chapters: list[Chapter]) -> Table:
+    table = Table("robot", "recorded", "transitions kept", "dropped", "train / validation / test", title="Recordings")
+    for chapter in chapters:
+        counts = chapter.preparation.counts
+        dropped = ", ".join(f"{reason} {number}" for reason, number in counts.dropped.items())
+        splits = " / ".join(str(number) for number in chapter.preparation.transitions.values())
+        vehicles = ", ".join(chapter.preparation.vehicles)
+        table.add_row(chapter.robot.name, f"vehicle {vehicles}", f"{counts.kept:,}", dropped or "none", splits)
+    return table
+
+
+def _registry_table(chapters: list[Chapter]) -> Table:
+    table = Table("registered model", "versions", "champion", "why", title="Registry")
+    for chapter in chapters:
+        for name, champion in chapter.champions.items():
+            reason = champion.tags.get("promoted_because", "") if champion else ""
+            table.add_row(name, str(len(registry.versions(name))), str(champion.number) if champion else "none", reason)
+    return table
+
+
+def _page(chapters: list[Chapter]) -> str:
+    environment = Environment(loader=PackageLoader("swarmtwin.studies.overview", "."), autoescape=True)
+    environment.filters["embedded"] = _embedded
+    return environment.get_template("page.html.jinja").render(chapters=chapters)
+
+
+def _embedded(file: Path) -> str:
+    """Return a picture's or film's content for a page that loads nothing."""
+    kind = {".png": "image/png", ".mp4": "video/mp4"}[file.suffix]
+    return f"data:{kind};base64,{base64.b64encode(file.read_bytes()).decode()}"

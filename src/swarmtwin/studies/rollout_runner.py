@@ -1,0 +1,88 @@
+"""Policies rolled out from given scenarios: in a simulation, and on stand-ins that are driven live."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from swarmtwin.errors import UserError
+from swarmtwin.policies.policy_folder import StoredPolicy
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.evaluation import load_simulation
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.standin.effects import parse_effects
+from swarmtwin.standin.live import LiveVehicles
+from swarmtwin.standin.session import require_stand_in
+from swarmtwin.tracking import registry
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.rollout import Rollout, play
+from swarmtwin.world.scenario import Scenario
+from swarmtwin.world.task import Task
+
+log = logging.getLogger(__name__)
+
+FIRST_VEHICLE = 2
+
+
+def other_vehicles(chosen: Sequence[str] | None, task: Task) -> tuple[str, ...]:
+    """Return the stand-ins that play a task: those chosen, or the first ones after vehicle 1, which was recorded.
+
+    Raises:
+        UserError: another number of vehicles was chosen than the task has, or the robot has no stand-in.
+    """
+    require_stand_in(task.robot)
+    if chosen is None:
+        return tuple(str(FIRST_VEHICLE + index) for index in range(task.vehicles))
+    if len(chosen) != task.vehicles:
+        raise UserError(
+            f"vehicles=[{','.join(chosen)}] are {len(chosen)}, task {task.config.name!r} is for {task.vehicles}: "
+            f"give {task.vehicles} ids, or none"
+        )
+    return tuple(chosen)
+
+
+def simulation_of(policy: StoredPolicy, chosen: str | None, robot: Robot) -> tuple[Simulation, Path]:
+    """Return the simulation chosen, or the one that a policy was learned in, and its folder.
+
+    Raises:
+        UserError: there is none, or it is of another robot.
+    """
+    learned_in = policy.provenance.simulation
+    reference = chosen or learned_in.source
+    try:
+        folder = registry.model_folder(reference)
+    except UserError as error:
+        if chosen:
+            raise
+        raise UserError(f"the simulation that {policy.folder} was learned in: {error}; or add simulation=...") from None
+    simulation, _ = load_simulation(folder, robot)
+    if chosen is None and registry.folder_digest(folder) != learned_in.digest:
+        log.warning("%s is no longer the model that %s was learned in", reference, policy.folder)
+    return simulation, folder
+
+
+def in_simulation(
+    policy: StoredPolicy, simulation: Simulation, scenario: Scenario, sampled: bool | None = None, seed: int = 0
+) -> Rollout:
+    """Roll a policy out in a simulation, sampled with a seed or most likely; None: as `SimulatedMotion` chooses.
+
+    Raises:
+        UserError: the policy gives a command, or the model a displacement, that is not finite.
+    """
+    task = policy.build_task()
+    motion = SimulatedMotion(simulation, len(scenario), task.vehicles, sampled, seed)
+    return play(task, motion, scenario, policy.policy.act)
+
+
+def on_stand_ins(
+    policy: StoredPolicy, vehicles: Sequence[str], scenario: Scenario, seed: int, effects: Sequence[Any] = ()
+) -> Rollout:
+    """Roll a policy out on stand-ins.
+
+    Raises:
+        UserError: an effect makes no sense for this robot, or the policy gives a command that is not finite.
+    """
+    task = policy.build_task()
+    told = parse_effects(effects, policy.robot, len(vehicles))
+    live = LiveVehicles(policy.robot, vehicles, len(scenario), seed, told, planned_steps=task.steps)
+    return play(task, live, scenario, policy.policy.act)

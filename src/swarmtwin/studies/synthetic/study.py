@@ -1,0 +1,246 @@
+"""`swarmtwin experiment name=synthetic`: what models learn from synthetic transitions instead of real ones.
+
+The half of tables 1 and 2 of the paper that is trained on synthetic data, its figures 8 and 10 in small, and the
+controls that it lacks: equal numbers of optimiser steps; the ensemble that our generator predicts the mean with, used
+directly; and CR-Net given the walls that this ensemble is given.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pandas as pd
+import torch
+from pydantic import BeforeValidator, Field
+from rich.console import Console
+from rich.progress import Progress
+
+from swarmtwin.dynamics.model_config import ModelConfig, model_config
+from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
+from swarmtwin.dynamics.training import SeedResult, TrainingJob, train_seeds
+from swarmtwin.dynamics.training_module import Epoch
+from swarmtwin.errors import UserError
+from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.generators.generator import generator_config
+from swarmtwin.learning.recipe import Recipe
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.simulation.evaluation import Measured, Measurement, measure
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.studies.synthetic.cases import Amount, Case, TrainingSets, chosen_cases
+from swarmtwin.studies.synthetic.error_plot import cases_figure
+from swarmtwin.studies.synthetic.table import ERRORS, case_table
+from swarmtwin.tracking.runs import tracked_run
+from swarmtwin.transitions import Preparation
+from swarmtwin.transitions.inputs import as_texts, prepared_transitions
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class Options(StrictModel):
+    """Options; their defaults stand in conf/experiment/synthetic.yaml."""
+
+    name: Literal["synthetic"]
+    robot: Robot
+    crnet: dict[str, Any]
+    mlp: dict[str, Any]
+    ensemble: dict[str, Any]
+    recipe: Recipe
+    generator: dict[str, Any]
+    published: dict[str, Any]
+    transitions: Path
+    generators: Path
+    train_vehicle: Path
+    other_vehicle: Path
+    part: Annotated[float, Field(gt=0, lt=1)]
+    few: Count
+    synthetic: Count
+    cases: Literal["all"] | Annotated[tuple[str, ...], BeforeValidator(as_texts)]
+    seed: Seed
+    seeds: Count
+    output: Path
+    overwrite: bool
+
+    @property
+    def recordings(self) -> dict[str, Path]:
+        """The recordings to measure on, by what they are for."""
+        return {"train_vehicle": self.train_vehicle, "other_vehicle": self.other_vehicle}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case: the steps of its training, and one result and one measurement a seed, none for dead ones.
+
+    Attributes:
+        name: the case's.
+        case: what was trained on what.
+        inputs: what the model was given.
+        preparation: how the transitions came about that it learned from.
+        steps: optimiser steps of a training.
+        results: one a seed.
+        measurements: by recording, one a live seed.
+    """
+
+    name: str
+    case: Case
+    inputs: tuple[str, ...]
+    preparation: Preparation
+    steps: int
+    results: tuple[SeedResult, ...]
+    measurements: dict[str, tuple[Measurement, ...]]
+
+
+def run(options: Options) -> None:
+    """Train every case, measure it, save table and picture, and show the table.
+
+    Raises:
+        UserError: no transitions or recording, an unknown case, or the output is taken.
+    """
+    settings = options.model_dump(mode="json")
+    cases = chosen_cases(options.cases, options.robot)
+    if not options.transitions.is_dir():
+        raise UserError(f"no transitions in {options.transitions}: run `dvc repro` first, or give transitions=...")
+    inputs = [options.transitions, *options.recordings.values()]
+    check_output(options.output, "experiment", options.overwrite, inputs)
+    with tracked_run(
+        "generator", f"{options.robot.name} real and synthetic", settings, inputs, options.seed
+    ) as tracked:
+        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
+            outcomes = _outcomes(options, cases)
+            table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome, options)])
+            table.to_csv(folder / "table.csv", index=False)
+            write_text(folder / "metrics.json", json.dumps(_metrics(outcomes), indent=1) + "\n")
+            cases_figure(table, options.robot.title).savefig(folder / "errors.png")
+        for row in table.to_dict("records"):
+            figures = {name: row[name] for name in ERRORS if row[name] is not None}
+            tracked.metrics({f"{row['case']}/{row['recording']}/{name}": value for name, value in figures.items()})
+        tracked.folder(options.output, "comparison")
+    Console().print(case_table(options.robot.title, table))
+
+
+def _outcomes(options: Options, cases: dict[str, Case]) -> list[Outcome]:
+    configs = {name: model_config(getattr(options, name), name) for name in ("crnet", "mlp", "ensemble")}
+    generators = {name: generator_config(getattr(options, name), name) for name in ("generator", "published")}
+    real = prepared_transitions(options.transitions, options.robot)
+    measured = {
+        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
+    }
+    amounts: dict[Amount, int | None] = {
+        "all": None,
+        "part": round(options.part * len(real[0])),
+        "few": options.few,
+    }
+    sets = TrainingSets(real, amounts, options.synthetic, generators, options.generators, options.seed)
+    jobs: dict[str, list[TrainingJob]] = {}
+    preparations = {}
+    for name, case in cases.items():
+        transitions, preparations[name] = sets.of(case)
+        config = configs[case.model]
+        if case.walls:
+            config = config.model_copy(update={"wall_reaches": configs["ensemble"].wall_reaches})
+        learned = len((real[0] if case.at_epochs else transitions).part("train"))
+        recipe = options.recipe.completed(config.learning_rate, config.steps, learned)
+        seeds = range(options.seed, options.seed + options.seeds)
+        jobs[name] = [TrainingJob(transitions, config, recipe, seed) for seed in seeds]
+    results = iter(_trained([job for own in jobs.values() for job in own]))
+    outcomes = []
+    for name, own in jobs.items():
+        came = tuple(next(results) for _ in own)
+        measurements = {
+            place: tuple(
+                _measured(job, result, preparations[name], each)
+                for job, result in zip(own, came, strict=True)
+                if not result.dead
+            )
+            for place, each in measured.items()
+        }
+        inputs = _inputs(own[0].config, options.robot)
+        outcomes.append(Outcome(name, cases[name], inputs, preparations[name], _steps(own[0]), came, measurements))
+    return outcomes
+
+
+def _inputs(config: ModelConfig, robot: Robot) -> tuple[str, ...]:
+    """Return what a model is given: parts of the situation, and the walls."""
+    inputs = config.inputs(robot)
+    return (*inputs, "walls") if config.wall_reaches and "pose" in inputs else inputs
+
+
+def _steps(job: TrainingJob) -> int:
+    """Return how many optimiser steps a training takes."""
+    rows = len(job.transitions.part("train"))
+    return (job.recipe.epochs or 0) * (rows // min(job.recipe.batch_size, rows))
+
+
+def _trained(jobs: Sequence[TrainingJob]) -> list[SeedResult]:
+    with Progress(console=Console(stderr=True)) as bars:
+        task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))
+
+        def report(seed: int, number: int, epoch: Epoch) -> None:
+            bars.advance(task)
+
+        return train_seeds(jobs, report, None)
+
+
+def _measured(job: TrainingJob, result: SeedResult, preparation: Preparation, measured: Measured) -> Measurement:
+    weights = {name: torch.from_numpy(values) for name, values in result.weights.items()}
+    dynamics = NetworkDynamics.with_weights(job.transitions.robot, job.config, weights)
+    best = result.history[result.best - 1]
+    outcome = SeedOutcome(
+        seed=result.seed,
+        best_epoch=result.best,
+        position_mm=best.validation_position_mm,
+        orientation_deg=best.validation_orientation_deg,
+        dead=None,
+    )
+    recipe = job.recipe.model_dump(mode="json")
+    return measure(Simulation(dynamics), Provenance.of(preparation, recipe, result.seed, (outcome,)), measured)
+
+
+def _rows(outcome: Outcome, options: Options) -> list[dict[str, Any]]:
+    """Return a case's rows of table.csv: one a recording, mean and spread over its live seeds."""
+    case, counts = outcome.case, outcome.preparation.transitions
+    generator = outcome.preparation.generator
+    about = {
+        "case": outcome.name,
+        "title": case.title,
+        "inputs": ", ".join(outcome.inputs),
+        "real": generator.real_transitions if generator and case.source != "mixture" else _real_rows(outcome, options),
+        "learned_from": counts["train"],
+        "steps": outcome.steps,
+        "seeds": len(outcome.results),
+        "dead_seeds": sum(result.dead is not None for result in outcome.results),
+    }
+    return [{**about, "recording": place, **_errors(own)} for place, own in outcome.measurements.items()]
+
+
+def _real_rows(outcome: Outcome, options: Options) -> int:
+    """Return how many real transitions a model was trained on and chosen by."""
+    total = sum(outcome.preparation.transitions[split] for split in ("train", "validation"))
+    return round(outcome.case.real_share * total)
+
+
+def _errors(measurements: Sequence[Measurement]) -> dict[str, float | None]:
+    row: dict[str, float | None] = {}
+    for name in ERRORS:
+        values = [getattr(each.overall.one_step, name) for each in measurements]
+        row[name] = float(np.mean(values)) if values else None
+        row[f"{name}_over_seeds"] = float(np.std(values, ddof=1)) if len(values) > 1 else None
+        row[f"floor_{name}"] = getattr(measurements[0].overall.floor, name) if values else None
+        exact = [getattr(each.overall.model_error, name) for each in measurements if each.overall.model_error]
+        row[f"model_error_{name}"] = float(np.mean(exact)) if exact else None
+    return row
+
+
+def _metrics(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    return {
+        outcome.name: {
+            "steps": outcome.steps,
+            "dead": {str(result.seed): result.dead for result in outcome.results if result.dead},
+            **{place: [each.overall.plain() for each in own] for place, own in outcome.measurements.items()},
+        }
+        for outcome in outcomes
+    }

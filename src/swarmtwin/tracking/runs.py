@@ -1,0 +1,235 @@
+"""Every run in MLflow: its configuration, the code's commit, its inputs' DVC hashes, its seed, metrics and plots."""
+
+import atexit
+import errno
+import logging
+import os
+import subprocess
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
+
+import mlflow
+import yaml
+from hydra.experimental.callback import Callback
+from matplotlib.figure import Figure
+from mlflow.entities import Metric
+from mlflow.exceptions import MlflowException
+from omegaconf import DictConfig
+from sqlalchemy.exc import SQLAlchemyError
+
+from swarmtwin.errors import UserError
+
+logger = logging.getLogger(__name__)
+
+Experiment = Literal["dynamics", "generator", "diagnosis", "policy", "transfer", "deployment"]
+PARENT_RUN = "SWARMTWIN_PARENT_RUN"
+
+
+@contextmanager
+def store_errors() -> Iterator[None]:
+    """Turn a failure of the tracking store into one clear message; also a decorator.
+
+    A full disk is none of the store's faults, and passes.
+    """
+    try:
+        yield
+    except (MlflowException, SQLAlchemyError, OSError) as error:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        uri, reason = store_uri(), str(error).strip().splitlines()[0]
+        check = "start its server" if uri.startswith("http") else "see that its folder is there and can be written"
+        remedy = f"{check}, or set MLFLOW_TRACKING_URI to another"
+        raise UserError(f"the MLflow store {uri} cannot be used ({reason}): {remedy}") from error
+
+
+class TrackedRun:
+    """The MLflow run that is open: what a command hands over to be kept and compared."""
+
+    def __init__(self, run_id: str) -> None:
+        self.run_id = run_id
+
+    def metrics(self, values: Mapping[str, float], step: int = 0) -> None:
+        """Keep figures, whose names end in their units."""
+        self.history([(step, values)])
+
+    @store_errors()
+    def history(self, rows: Iterable[tuple[int, Mapping[str, float]]]) -> None:
+        """Keep figures that change over steps: all rows in few calls, of at most the 1000 figures that MLflow takes."""
+        now = int(time.time() * 1000)
+        batch = [Metric(name, float(value), now, step) for step, values in rows for name, value in values.items()]
+        client = mlflow.MlflowClient()
+        for start in range(0, len(batch), 1000):
+            client.log_batch(self.run_id, metrics=batch[start : start + 1000])
+
+    @store_errors()
+    def tag(self, name: str, value: str) -> None:
+        """Mark the run."""
+        mlflow.MlflowClient().set_tag(self.run_id, name, value)
+
+    @store_errors()
+    def figure(self, figure: Figure, name: str) -> None:
+        """Keep a plot as `figures/<name>.png`."""
+        mlflow.log_figure(figure, f"figures/{name}.png")
+
+    @store_errors()
+    def folder(self, folder: Path, name: str) -> str:
+        """Keep a copy of a folder under `name`; return its URI."""
+        mlflow.log_artifacts(str(folder), name)
+        return mlflow.get_artifact_uri(name)
+
+
+def use_store() -> None:
+    """Point MLflow at its store, and let it speak up only when something is wrong."""
+    logging.getLogger("mlflow").setLevel(logging.WARNING)
+    mlflow.set_tracking_uri(store_uri())
+
+
+def store_uri() -> str:
+    """Return where MLflow keeps runs and models: `MLFLOW_TRACKING_URI`, or else `mlflow.db` in this folder."""
+    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
+
+
+@contextmanager
+def tracked_run(
+    experiment: Experiment, name: str, config: Mapping[str, Any], inputs: Sequence[Path] = (), seed: int | None = None
+) -> Iterator[TrackedRun]:
+    """Open an MLflow run, under the sweep or study that is going on if there is one; close it with how it ended.
+
+    Raises:
+        UserError: the tracking store cannot be used.
+    """
+    tags = _tags(inputs, seed)
+    with store_errors():
+        use_store()
+        mlflow.set_experiment(experiment)
+        run = mlflow.start_run(run_name=name, tags=tags, parent_run_id=os.environ.get(PARENT_RUN))
+    try:
+        with store_errors():
+            longest = 500  # characters that MLflow keeps of a parameter's value
+            mlflow.log_params({key: value[:longest] for key, value in _flat(config)})
+            mlflow.log_text(yaml.safe_dump(dict(config), sort_keys=False), "config.yaml")
+        yield TrackedRun(run.info.run_id)
+    except BaseException as error:
+        mlflow.end_run("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
+        raise
+    mlflow.end_run()
+
+
+def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study"]) -> str:
+    """Open a run that groups those started until it is closed, also in other processes; return its id."""
+    tags = _tags((), None)
+    with store_errors():
+        use_store()
+        mlflow.set_experiment(experiment)
+        client = mlflow.MlflowClient()
+        found = client.get_experiment_by_name(experiment)
+        assert found is not None
+        run = client.create_run(found.experiment_id, run_name=name, tags={"kind": kind, **tags})
+    os.environ[PARENT_RUN] = run.info.run_id
+    return run.info.run_id
+
+
+def close_parent(run_id: str, status: Literal["FINISHED", "FAILED"]) -> None:
+    """Close the run that groups others."""
+    os.environ.pop(PARENT_RUN, None)
+    with store_errors():
+        use_store()
+        mlflow.MlflowClient().set_terminated(run_id, status)
+
+
+@contextmanager
+def parent_run(experiment: Experiment, name: str, kind: Literal["sweep", "study"]) -> Iterator[str]:
+    """Group the runs that start within the block, also in other processes, under one; give its id."""
+    run_id = open_parent(experiment, name, kind)
+    try:
+        yield run_id
+    except BaseException:
+        close_parent(run_id, "FAILED")
+        raise
+    close_parent(run_id, "FINISHED")
+
+
+class SweepCallback(Callback):
+    """Gives the runs of a Hydra sweep one parent run in the experiment of their command."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment = experiment
+
+    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
+        """Open the parent before the first run starts; should the sweep break off, it is closed as failed."""
+        name = " ".join(config.hydra.overrides.task) or "sweep"
+        self.run_id = open_parent(self.experiment, name[:250], "sweep")
+        atexit.register(close_parent, self.run_id, "FAILED")
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Close the parent after the last run ended."""
+        atexit.unregister(close_parent)
+        close_parent(self.run_id, "FINISHED")
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", str(value)
+
+
+def _tags(inputs: Sequence[Path], seed: int | None) -> dict[str, str]:
+    tags = {}
+    if seed is not None:
+        tags["seed"] = str(seed)
+    if commit := _git("rev-parse", "HEAD"):
+        tags["mlflow.source.git.commit"] = commit
+        tags["git.uncommitted_changes"] = str(bool(_git("status", "--porcelain", "--untracked-files=no"))).lower()
+    for path in inputs:
+        if digest := dvc_hash(path):
+            tags[f"dvc.{path}"] = digest
+    return tags
+
+
+def _git(*arguments: str) -> str:
+    try:
+        answer = subprocess.run(["git", *arguments], capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return ""
+    return answer.stdout.strip() if answer.returncode == 0 else ""
+
+
+def dvc_hash(path: Path) -> str | None:
+    """Return the DVC hash of the nearest tracked output that is `path` or holds it; None where DVC knows none."""
+    path = path.resolve()
+    for folder in [path, *path.parents]:
+        if not (folder / ".dvc").is_dir():
+            continue
+        tracked = dict(_tracked_outputs(folder))
+        for candidate in [path, *path.parents]:
+            if candidate in tracked:
+                return tracked[candidate]
+        return None
+    return None
+
+
+def _tracked_outputs(repository: Path) -> Iterator[tuple[Path, str]]:
+    for file in (*repository.glob("*.dvc"), repository / "dvc.lock"):
+        if not file.is_file():
+            continue
+        try:
+            content = yaml.safe_load(file.read_text()) or {}
+        except yaml.YAMLError:
+            logger.warning("%s is not valid YAML: the hashes in it are not recorded", file)
+            continue
+        for entry in (content, *content.get("stages", {}).values()):
+            yield from _outputs(entry, repository)
+
+
+def _outputs(entry: Mapping[str, Any], repository: Path) -> Iterator[tuple[Path, str]]:
+    for output in entry.get("outs", []):
+        if "md5" in output:
+            yield (repository / output["path"]).resolve(), output["md5"]

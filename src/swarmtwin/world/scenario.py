@@ -1,0 +1,147 @@
+"""Where roll-outs begin and what is asked of the vehicles: the same scenario can be played by any motion."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """W worlds of K vehicles, each with G targets one after the other and O round obstacles, in the arena's frame.
+
+    Attributes:
+        start: (W, K, 3) x_mm, y_mm, heading_rad.
+        targets: (W, G, 2) x_mm, y_mm in the order in which they are to be reached.
+        obstacles: (W, O, 3) x_mm, y_mm, radius_mm.
+        leg: (W,) index of the target that is sought now; all vehicles of a world seek the same.
+    """
+
+    start: np.ndarray
+    targets: np.ndarray
+    obstacles: np.ndarray
+    leg: np.ndarray
+
+    @classmethod
+    def beginning(cls, start: np.ndarray, targets: np.ndarray, obstacles: np.ndarray | None = None) -> "Scenario":
+        """Return a scenario in which every world seeks its first target; without `obstacles` there are none."""
+        worlds = len(start)
+        obstacles = np.empty((worlds, 0, 3)) if obstacles is None else obstacles
+        return cls(start, targets, obstacles, np.zeros(worlds, dtype=int))
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    @property
+    def target(self) -> np.ndarray:
+        """The targets sought now, (W, 2)."""
+        target: np.ndarray = self.targets[np.arange(len(self)), self.leg]
+        return target
+
+    @property
+    def on_last_leg(self) -> np.ndarray:
+        """Whether no further target follows, (W,)."""
+        last: np.ndarray = self.leg == self.targets.shape[1] - 1
+        return last
+
+    def where(self, worlds: np.ndarray) -> "Scenario":
+        """Return some worlds: indices (n,) or a mask (W,)."""
+        return Scenario(**{field.name: getattr(self, field.name)[worlds] for field in fields(self)})
+
+    def replaced(self, worlds: np.ndarray, other: "Scenario") -> "Scenario":
+        """Return this scenario with the worlds at indices (n,) taken from the n worlds of `other`."""
+
+        def mixed(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+            mine = mine.copy()
+            mine[worlds] = theirs
+            return mine
+
+        return Scenario(**{f.name: mixed(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+
+    def advanced(self, worlds: np.ndarray) -> "Scenario":
+        """Return this scenario with the worlds of a mask (W,) seeking their next target, where there is one."""
+        return replace(self, leg=self.leg + (worlds & ~self.on_last_leg))
+
+    def from_first_leg(self) -> "Scenario":
+        """Return this scenario with every world seeking its first target."""
+        return replace(self, leg=np.zeros_like(self.leg))
+
+
+def inner_room(low_mm: np.ndarray, high_mm: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners (2,) of the rectangle within another that has the same centre and a share of its sides."""
+    centre, half = (low_mm + high_mm) / 2, share * (high_mm - low_mm) / 2
+    return centre - half, centre + half
+
+
+def draw_apart(
+    rng: np.random.Generator,
+    count: int,
+    room_mm: tuple[np.ndarray, np.ndarray],
+    apart_mm: float,
+    taken: np.ndarray,
+    tries: int = 200,
+) -> np.ndarray:
+    """Draw `count` uniform places in each of W rectangles, each at least `apart_mm` from the others.
+
+    Args:
+        rng: what they are drawn with.
+        count: places in a rectangle; `room_for` says how many there may be.
+        room_mm: the rectangle's corners, (2,) and (2,).
+        apart_mm: least distance between two places of a rectangle.
+        taken: (W, n, 3) x_mm, y_mm, radius_mm of circles in which no place may lie.
+        tries: how often a place is drawn before its rectangle is emptied and filled anew.
+
+    Returns:
+        (W, count, 2).
+    """
+    places = np.full((len(taken), count, 2), np.nan)
+    unfinished = np.arange(len(taken))
+    while len(unfinished):
+        places[unfinished] = np.nan
+        for index in range(count):
+            worlds = unfinished
+            for _ in range(tries):
+                drawn = rng.uniform(*room_mm, (len(worlds), 2))
+                near_another = _distance_mm(places[worlds, :index], drawn) < apart_mm
+                in_circle = _distance_mm(taken[worlds, :, :2], drawn) < taken[worlds, :, 2]
+                free = ~(near_another.any(axis=1) | in_circle.any(axis=1))
+                places[worlds[free], index] = drawn[free]
+                worlds = worlds[~free]
+                if not len(worlds):
+                    break
+        unfinished = np.flatnonzero(np.isnan(places).any(axis=(1, 2)))
+    return places
+
+
+def _distance_mm(places: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """Return the distances (W, n) from places (W, n, 2) to one drawn place each (W, 2)."""
+    away = places - drawn[:, None]
+    return np.hypot(away[..., 0], away[..., 1])
+
+
+def room_for(
+    count: int, room_mm: tuple[np.ndarray, np.ndarray], apart_mm: float, taken: np.ndarray, filling: float = 0.85
+) -> int:
+    """Return `count`, or how many places can be drawn in the rectangle without many tries, where that is less.
+
+    Random places block each other long before the rectangle is full; so they are counted by trying with 5,000
+    candidates.
+
+    Args:
+        count: places wanted.
+        room_mm: the rectangle's corners, (2,) and (2,).
+        apart_mm: least distance between two places.
+        taken: (n, 3) x_mm, y_mm, radius_mm of circles in which no place may lie.
+        filling: the share of what can be reached that is still drawn quickly.
+    """
+    area = np.prod(room_mm[1] - room_mm[0])
+    blocked = np.pi * ((count - 1) * apart_mm**2 + (taken[:, 2] ** 2).sum())
+    if blocked < filling * area:
+        return count
+    candidates = np.random.default_rng(0).uniform(*room_mm, (5_000, 2))
+    for x_mm, y_mm, radius_mm in taken:
+        candidates = candidates[np.hypot(*(candidates - (x_mm, y_mm)).T) >= radius_mm]
+    reached = 0
+    while len(candidates):
+        candidates = candidates[np.hypot(*(candidates - candidates[0]).T) >= max(apart_mm, 1e-9)]
+        reached += 1
+    return min(count, max(1, int(filling * reached)))

@@ -1,0 +1,148 @@
+"""Dependence: nothing is found in noise, also where neighbours are correlated; what is planted is found by name."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_base import ExactBase, session_of
+from scipy import stats
+
+from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
+from swarmtwin.diagnosis.settings import DependenceSettings
+
+SEEDS = 40
+MOST_FALSE = int(stats.binom.ppf(0.99, SEEDS, DependenceSettings().false_discovery_rate))
+"""Sessions with anything found, where nothing is: its 99 % point at the level that the settings state."""
+AR = 0.3
+CONFOUNDED = {"position": {"time", "wall_distance"}}
+"""What shows besides: a vehicle stays where it is for a run, and the middle is far from all walls."""
+
+
+@pytest.fixture(scope="module")
+def sessions(robots):
+    """A measured session and the reference's, of the same robot."""
+    base = ExactBase(robots["mgr"])
+    return [session_of(base, np.random.default_rng(seed), runs=runs, steps=25) for seed, runs in ((1, 60), (2, 90))]
+
+
+def white(session, rng):
+    return rng.normal(size=(len(session), 3))
+
+
+def lasting(session, rng):
+    """Noise that lasts within a run: an autoregression with correlation 0.3 between neighbours."""
+    noise = white(session, rng)
+    for index in np.flatnonzero(session.follows >= 0):
+        noise[index] = AR * noise[session.follows[index]] + np.sqrt(1 - AR**2) * noise[index]
+    return noise
+
+
+def examined(session, residual):
+    usual = session.twist.std(dim=0)
+    size = (session.twist / usual).numpy()
+    return StandardisedResidual(session, residual, size, np.empty((0, *residual.shape)), np.ones(len(residual)))
+
+
+def found(tests):
+    return {test.part for test in tests if test.found}
+
+
+@pytest.mark.parametrize("noise", [white, lasting])
+def test_nothing_is_found_in_noise(sessions, noise):
+    false = {}
+    for seed in range(SEEDS):
+        rng = np.random.default_rng(seed)
+        here, there = (examined(session, noise(session, rng)) for session in sessions)
+        if parts := found(dependence_tests(here, there, seed)):
+            false[seed] = parts
+    assert len(false) <= MOST_FALSE, false
+
+
+def test_levels_are_honest(sessions):
+    """P-values of what is not there are below a level as often as it says, within the binomial distribution's 99 %."""
+    p_values = []
+    for seed in range(20):
+        rng = np.random.default_rng(700 + seed)
+        here, there = (examined(session, white(session, rng)) for session in sessions)
+        p_values += [test.p_value for test in dependence_tests(here, there, seed)]
+    for level in (0.05, 0.5):
+        fewest, most = stats.binom.ppf([0.005, 0.995], len(p_values), level)
+        assert fewest <= np.sum(np.array(p_values) < level) <= most, level
+
+
+def planted(session):
+    situation = session.situation
+    heading, elapsed_s = situation.pose[:, 2].numpy(), situation.elapsed_s.numpy()
+    command, previous = (getattr(situation, name).numpy() / 120 for name in ("command", "previous_command"))
+    x_mm, y_mm = situation.pose[:, 0].numpy(), situation.pose[:, 1].numpy()
+    inside = np.hypot(x_mm - 515, y_mm - 515) < 150
+    late = elapsed_s / elapsed_s.max()
+    return {
+        "heading": 0.4 * np.cos(2 * heading),
+        "command": 1.2 * command[:, 0] * command[:, 1],
+        "previous_command": 0.4 * previous[:, 1],
+        "position": 1.0 * (inside - inside.mean()),
+        "time": 1.6 * (late - 0.5),
+    }
+
+
+@pytest.mark.parametrize("part", ["heading", "command", "previous_command", "position", "time"])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_what_is_planted_is_found_by_name(sessions, part, axis):
+    rng = np.random.default_rng(3)
+    residual = white(sessions[0], rng)
+    residual[:, axis] += planted(sessions[0])[part]
+    tests = dependence_tests(examined(sessions[0], residual), examined(sessions[1], white(sessions[1], rng)), 5)
+    assert part in found(tests)
+    assert found(tests) <= {part, "spread", "tails", *CONFOUNDED.get(part, ())}
+
+
+@pytest.mark.parametrize("part", ["heading", "command", "previous_command"])
+def test_what_the_reference_shows_as_well_is_no_news(sessions, part):
+    rng = np.random.default_rng(4)
+    residuals = [white(session, rng) for session in sessions]
+    for session, residual in zip(sessions, residuals, strict=True):
+        residual[:, 0] += planted(session)[part]
+    here, there = (examined(*pair) for pair in zip(sessions, residuals, strict=True))
+    assert not found(dependence_tests(here, there, 6))
+    alone = examined(sessions[1], white(sessions[1], rng))
+    assert part in found(dependence_tests(here, alone, 6))
+
+
+def test_what_the_simulations_own_members_disagree_about_is_not_found(sessions):
+    rng = np.random.default_rng(8)
+    shape = planted(sessions[0])["heading"]
+    residual = white(sessions[0], rng)
+    residual[:, 0] += shape
+    there = examined(sessions[1], white(sessions[1], rng))
+    here = examined(sessions[0], residual)
+    assert "heading" in found(dependence_tests(here, there, 7))
+    members = np.zeros((6, *residual.shape))
+    members[:, :, 0] = np.linspace(-1, 1, 6)[:, None] * shape
+    assert "heading" not in found(dependence_tests(replace(here, members=members), there, 7))
+
+
+def test_runs_that_differ_show_as_time(sessions):
+    rng = np.random.default_rng(9)
+    session = sessions[0]
+    residual = white(session, rng)
+    residual[:, 0] += rng.normal(0, 0.4, session.runs)[session.run]
+    here, there = examined(session, residual), examined(sessions[1], white(sessions[1], rng))
+    assert found(dependence_tests(here, there, 8)) == {"time"}
+
+
+@pytest.mark.parametrize(("factor", "explained"), [(1.25, 0.5), (0.8, -0.35)])
+def test_another_spread_is_found_as_spread(sessions, factor, explained):
+    rng = np.random.default_rng(10)
+    here, there = (examined(session, white(session, rng)) for session in sessions)
+    tests = dependence_tests(replace(here, residual=here.residual * factor), there, 9)
+    spread = next(test for test in tests if test.part == "spread")
+    assert "spread" in found(tests)
+    assert spread.explained == pytest.approx(explained, abs=0.1)
+    assert not found(tests) - {"spread", "tails"}
+
+
+def test_the_same_seed_gives_the_same_tests(sessions):
+    rng = np.random.default_rng(11)
+    here, there = (examined(session, lasting(session, rng)) for session in sessions)
+    assert dependence_tests(here, there, 12) == dependence_tests(here, there, 12)

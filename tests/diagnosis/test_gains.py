@@ -1,0 +1,88 @@
+"""Gains: open loop is measured on the poses that one-step errors are, in the recording's own arena."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from diagnosis_factories import made_result, made_session
+
+from swarmtwin.diagnosis.diagnose import diagnose
+from swarmtwin.diagnosis.gains import scored_tracks
+from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.report import page
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import Arena
+from swarmtwin.studies.hidden_effects.sessions import reference_session
+from swarmtwin.transitions import from_recording
+
+STEPS = 40
+
+
+@pytest.fixture(scope="module")
+def recordings(robots):
+    """A reference and a later session of the same vehicle, in which nothing is wrong."""
+    return [reference_session(robots["mgr"], runs, STEPS, seed).recording for runs, seed in ((30, 11), (24, 12))]
+
+
+@pytest.fixture(scope="module")
+def reference(recordings):
+    return Reference.learn(from_recording(recordings[0])[0], 1)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(reference, recordings):
+    return diagnose(reference, recordings[1], 1)
+
+
+def misread(recording, run, row, off_mm=400.0):
+    """The same recording with one pose of a run read elsewhere, as of a swapped marker."""
+    tracks = list(recording.tracks)
+    pose = tracks[run].pose.copy()
+    pose[row, 0] += off_mm if pose[row, 0] < 515 else -off_mm
+    tracks[run] = dataclasses.replace(tracks[run], pose=pose)
+    return dataclasses.replace(recording, tracks=tuple(tracks))
+
+
+@pytest.mark.parametrize("row", [0, 17])
+def test_a_pose_that_no_transition_is_made_of_is_no_open_loop_error(reference, recordings, diagnosed, row):
+    damaged = diagnose(reference, misread(recordings[1], 3, row), 1)
+    before = diagnosed.result.gain.open_loop_mm.before
+    assert damaged.result.gain.open_loop_mm.before == pytest.approx(before, rel=0.1)
+    assert damaged.result.gain.position_mm.before == pytest.approx(diagnosed.result.gain.position_mm.before, rel=0.05)
+
+
+def test_open_loop_is_compared_at_the_ends_of_the_scored_transitions_alone(recordings):
+    recording = misread(recordings[1], 0, 9)
+    believable = from_recording(recording)[0]
+    is_scored = np.isfinite(believable.previous_command).all(axis=1) & (believable.command[:, 0] > -60)
+    scored = believable.where(is_scored & (believable.run == 0))
+    (track,) = scored_tracks(recording, believable, scored)
+    known = np.flatnonzero(np.isfinite(track.pose).all(axis=1))
+    begins = np.searchsorted(track.time_s, scored.time_s)
+    assert known[0] == 0
+    np.testing.assert_array_equal(known[1:], begins + 1)
+    assert not {9, 10} & set(known[1:])
+
+
+def in_larger_arena(recording):
+    """The same recording, whose header states walls further away."""
+    arena = Arena(x=(-200.0, 1230.0), y=(-200.0, 1230.0))
+    return Recording(recording.robot, recording.header.model_copy(update={"arena_mm": arena}), recording.tracks), arena
+
+
+def test_the_recordings_own_arena_counts_not_the_robots_usual_one(recordings):
+    (known, arena), (measured, _) = (in_larger_arena(recording) for recording in recordings)
+    reference = Reference.learn(from_recording(known)[0], 1)
+    assert reference.session.conditions.arena_mm == arena
+    assert diagnose(reference, measured, 1).simulation.conditions.arena_mm == arena
+
+
+def test_the_report_draws_the_recordings_own_walls(tmp_path, monkeypatch):
+    session = made_session(made_result("no_gap"))
+    arena = Arena(x=(-300.0, 1500.0), y=(0.0, 900.0))
+    walls = []
+    draw = page.field_figure
+    monkeypatch.setattr(page, "field_figure", lambda *given: walls.append(given[3]) or draw(*given))
+    transitions = dataclasses.replace(session.transitions, arena_mm=arena)
+    page.write_report(tmp_path, dataclasses.replace(session, transitions=transitions))
+    assert set(map(str, walls)) == {str(arena)}

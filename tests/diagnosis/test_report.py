@@ -1,0 +1,236 @@
+"""The report: its numbers are those of the diagnosis, and every verdict has its page."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from diagnosis_factories import (
+    DELAY,
+    NAMES,
+    NEXT,
+    YAW,
+    made_result,
+    made_robot,
+    made_session,
+    moved_as_simulated,
+    moved_late,
+    parts_of,
+)
+
+from swarmtwin.diagnosis.report.page import gain_bars, leading_pictures, write_report
+from swarmtwin.diagnosis.report.residual_fields import field_choices
+from swarmtwin.diagnosis.report.residual_plots import runs_figure
+from swarmtwin.diagnosis.report.sentences import (
+    cause_summary,
+    cause_words,
+    dependence_words,
+    estimate_words,
+    gain_words,
+    odds_words,
+    verdict_words,
+)
+from swarmtwin.diagnosis.result import Dependence, Estimate, Gain
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names
+
+
+class Page(HTMLParser):
+    """What a page loads, what it says, and what it says before anything is unfolded."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.loaded, self.words, self.open_words, self.depth, self.skipped = [], [], [], 0, 0
+        self.feed(text)
+        self.text, self.above = " ".join(self.words), " ".join(self.open_words)
+
+    def handle_starttag(self, tag, attrs):
+        self.loaded += [value for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+        self.depth += tag == "details"
+        self.skipped += tag == "style"
+
+    def handle_endtag(self, tag):
+        self.depth -= tag == "details"
+        self.skipped -= tag == "style"
+
+    def handle_data(self, data):
+        if not self.skipped:
+            self.words += data.split()
+            self.open_words += data.split() if not self.depth else []
+
+
+def page_of(session, folder):
+    write_report(folder, session)
+    return Page((folder / "report.html").read_text())
+
+
+def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
+    diagnosis = made_result(causes=(DELAY, YAW))
+    page = page_of(made_session(diagnosis, moved_late), tmp_path)
+    assert "because commands act 0.15 s late; and the marker is turned by −5.7° on the vehicle." in page.above
+    for said in (
+        "Command delay : commands act 0.15 s (0.13 to 0.17) late.",
+        "Marker yaw : the marker is turned by −5.7° (−6.9 to −4.6) on the vehicle.",
+        "Accounts for 93 % of what can be explained; fits best in 99 % of resampled sessions",
+        "It could as well be actuator lag: with the commands driven here, the robot would move the same within its "
+        "noise; see below which drive tells them apart",
+        "before 8.61 mm after 1.82 mm −6.8 mm (−7.1 to −6.5), −79",
+        "before 12.4° after 3.0° −9.4° (−9.6 to −9.1), −75",
+        "before 214 mm after 31 mm −183 mm (−205 to −160), −86",
+        "check network, broker and camera for latency",
+        "glue the marker on straight",
+        "20 runs of 40 steps with the commands in next_drive.csv",
+        NEXT.command,
+    ):
+        assert said in page.above, said
+    assert DELAY.evidence in page.text
+    assert "previous command yes 0.0005 20.0 % 3.25" in page.text
+    assert "17 fitted to, 7 held out" in page.text
+    assert "960 used, 12 set aside" in page.text
+
+
+def test_nobody_must_know_statistics_to_read_what_is_not_folded_away(tmp_path):
+    above = page_of(made_session(made_result(), moved_late), tmp_path).above.lower()
+    for jargon in ("nats", "whitened", "standardised", "likelihood", "p-value", "residual", "bootstrap", "nan"):
+        assert not re.search(rf"\b{jargon}\b", above), jargon
+
+
+@pytest.mark.parametrize(
+    ("verdict", "changes", "sentence"),
+    [
+        ("no_gap", {}, "Nothing is wrong: the simulation does what the robot did"),
+        ("explained", {}, "The robot departs from the simulation because commands act"),
+        ("unexplained", {}, "partly because commands act 0.15 s late. Something else remains"),
+        ("unexplained", {"causes": (), "extension": "learned_residual"}, "and no known cause explains it"),
+        ("unexplained", {"causes": (), "extension": "none", "next_recording": None}, "and no known cause explains it"),
+    ],
+)
+def test_every_verdict_has_its_page_and_loads_nothing(tmp_path, verdict, changes, sentence):
+    diagnosis = made_result(verdict, **changes)
+    page = page_of(made_session(diagnosis, moved_late if verdict != "no_gap" else moved_as_simulated), tmp_path)
+    assert sentence in page.above
+    assert ("before" in page.above.split()) == (diagnosis.extension != "none")
+    text = (tmp_path / "report.html").read_text()
+    assert f'class="verdict {verdict}"' in text
+    assert all(source.startswith("data:image/png;base64,iVBOR") for source in page.loaded)
+    for loader in ("@import", "url(", "<script", "<link"):
+        assert loader not in text
+    files = {file.stem for file in (tmp_path / "figures").glob("*.png")}
+    assert len(page.loaded) == len(files)
+    assert set(leading_pictures(diagnosis)) <= files
+
+
+def test_vehicles_may_be_called_anything(tmp_path):
+    names = ("<script>alert(1)</script>", "$x_{")
+    diagnosis = made_result(vehicles=names)
+    page = page_of(made_session(diagnosis, moved_late, vehicles=names), tmp_path)
+    assert f"vehicles {', '.join(names)}" in page.above
+    assert "<script" not in (tmp_path / "report.html").read_text()
+    assert (tmp_path / "figures" / "vehicle.png").exists()
+    assert (tmp_path / "figures" / "neighbours.png").exists()
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 6])
+def test_any_number_of_command_columns_in_any_arena(tmp_path, columns):
+    robot = made_robot(columns, arena=(500 + 4000 * (columns == 3), 500 + 9000 * (columns == 6)))
+    session = made_session(made_result(), moved_late, robot, runs=6)
+    page_of(session, tmp_path)
+    choices = field_choices(session.transitions, parts_of(session))
+    assert len(choices["command"].axes) == min(2, columns)
+    assert all(f"{axis.label}".split(",")[0] in NAMES for axis in choices["command"].axes)
+
+
+def test_a_page_is_made_of_next_to_nothing(tmp_path):
+    session = made_session(made_result("unexplained"), moved_late, runs=2, steps=10)
+    nowhere = replace(session, runs_before=(), runs_after=())
+    page = page_of(nowhere, tmp_path)
+    assert "Where it shows" not in page.above
+    assert [file.name for file in (tmp_path / "figures").iterdir()] == ["spread.png"]
+
+
+def test_a_typical_run_and_a_bad_one_are_drawn():
+    session = made_session(made_result(), moved_late, runs=40)
+    figure = runs_figure(session.runs_before, session.runs_after)
+    errors = sorted(run.rmse_mm for run in session.runs_before)
+    shown = [float(re.search(r": (\d+) → 1 mm", panel.get_title(loc="left"))[1]) for panel in figure.axes]
+    expected = [errors[round(share * (len(errors) - 1))] for share in (0.5, 0.9)]
+    assert shown == [float(f"{error:.0f}") for error in expected]
+    assert runs_figure((), ()) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "low", "high", "unit", "said"),
+    [
+        ("delay_s", 0.1504, 0.1311, 0.1697, "s", "0.15 s (0.13 to 0.17)"),
+        ("angle_rad", np.pi / 6, np.pi / 6 - 0.002, np.pi / 6 + 0.002, "rad", "30.00° (29.89 to 30.11)"),
+        ("loss", 0.302, 0.281, 0.322, "", "30 % (28 to 32)"),
+        ("loss", -0.05, -0.09, -0.01, "", "−5 % (−9 to −1)"),
+        ("gain", 1.12, 1.10, 1.14, "", "1.12 (1.10 to 1.14)"),
+        ("x_mm", 431.0, 402.0, 460.0, "mm", "431 mm (402 to 460)"),
+        ("factor", 1.0, 1.0, 1.0, "", "1.00 (1.00 to 1.00)"),
+        ("left_mm", -0.001, -0.5, 0.5, "mm", "0.0 mm (−0.5 to 0.5)"),
+    ],
+)
+def test_numbers_are_as_exact_as_their_intervals(name, value, low, high, unit, said):
+    assert (
+        estimate_words(name, Estimate(value=value, low=low, high=high, unit=unit)).replace("\N{NO-BREAK SPACE}", " ")
+        == said
+    )
+
+
+@pytest.mark.parametrize("name", mechanism_names())
+def test_every_cause_of_the_catalogue_has_its_sentence(robots, name):
+    for robot in robots.values():
+        conditions = SessionConditions(arena_mm=robot.arena_mm, session_s=100.0)
+        parameters = {
+            parameter: Estimate(value=0.5, low=0.4, high=0.6, unit=unit)
+            for parameter, unit in mechanism_class(name).units(robot, conditions).items()
+        }
+        cause = DELAY.model_copy(update={"name": name, "parameters": parameters})
+        said = cause_words(cause)
+        assert "{" not in said
+        assert said.count("(") >= min(1, len(parameters))
+        assert cause_summary(cause) in verdict_words(made_result(causes=(cause,)))
+        assert "(" not in cause_summary(cause).replace("(coefficient", "").replace("(within", "")
+
+
+def test_gains_may_be_losses_and_errors_nothing():
+    worse = gain_words(Gain(before=2.0, after=2.1, low=-0.3, high=0.1), "mm")
+    assert worse.replace("\N{NO-BREAK SPACE}", " ") == "+0.1 mm (−0.1 to +0.3), +5 %"
+    unknown = Gain(before=0, after=0, low=0, high=0)
+    gain = made_result().gain.model_copy(update={"open_loop_mm": unknown})
+    bars = gain_bars(made_result(gain=gain))
+    assert [bar.after is not None for bar in bars] == [True, True, False]
+    assert bars[2].before == "not known"
+
+
+def test_odds_are_round_numbers():
+    assert [odds_words(nats) for nats in (5.0, 7.3, 1000.0)] == ["100", "1,000", "1,000,000"]
+
+
+@pytest.mark.parametrize(
+    ("name", "depends_on", "leading"),
+    [
+        ("battery_sag", ("spread", "command", "time"), ["time", "command", "runs"]),
+        ("surface_patch", ("command", "wall_distance", "tails"), ["place", "command", "runs"]),
+        ("gain_change", ("spread", "command"), ["command", "spread", "runs"]),
+        ("marker_yaw", ("previous_command",), ["previous_command", "runs"]),
+        ("noise_change", ("spread", "tails"), ["spread", "runs"]),
+    ],
+)
+def test_what_the_cause_looks_at_is_shown_first_where_it_shows(name, depends_on, leading):
+    cause = DELAY.model_copy(update={"name": name})
+    assert leading_pictures(made_result(causes=(cause,), depends_on=depends_on)) == leading
+
+
+def test_what_is_left_is_said_without_a_direction_that_nobody_measured():
+    diagnosis = made_result(depends_on=("time", "spread"), left_over=("position", "spread", "tails"))
+    assert dependence_words(diagnosis) == (
+        "What is off depends on the time since the session began. Errors scatter more than the ordinary noise. "
+        "What the extension leaves depends on the place in the arena. With the extension, how errors scatter and how "
+        "common large errors are still differs from the ordinary noise."
+    )
+    tighter = Dependence(part="spread", statistic=1, p_value=0, explained=-0.2, found=True)
+    quiet = made_result(depends_on=("spread",), tests=(tighter,))
+    assert dependence_words(quiet) == "Errors scatter less than the ordinary noise."

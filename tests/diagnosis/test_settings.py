@@ -1,0 +1,61 @@
+"""Settings: YAML and Python give the same object, every field has its sentence, and what is set decides."""
+
+import re
+
+import numpy as np
+import pytest
+import yaml
+from exact_base import ExactBase, known_noise, session_of
+
+from swarmtwin.configuration import config_folder
+from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
+from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.settings import DependenceSettings, DiagnosisSettings
+from swarmtwin.errors import UserError
+
+DEFAULT = config_folder() / "diagnosis" / "default.yaml"
+
+
+def test_yaml_and_python_give_the_same_settings():
+    content = yaml.safe_load(DEFAULT.read_text())
+    assert DiagnosisSettings.parse(content, str(DEFAULT)) == DiagnosisSettings()
+    assert {name: set(part) for name, part in content.items()} == {
+        name: set(type(part).model_fields) for name, part in DiagnosisSettings()
+    }
+
+
+def test_every_setting_says_what_it_decides():
+    for _, part in DiagnosisSettings():
+        said = set(re.findall(r"^ {8}(\w+): ", type(part).__doc__, flags=re.M))
+        assert said == set(type(part).model_fields)
+
+
+def test_an_unknown_setting_is_refused_with_the_near_miss():
+    with pytest.raises(UserError, match=r"unknown field 'search.fewest_nat'.*fewest_nats"):
+        DiagnosisSettings.parse({"search": {"fewest_nat": 3}}, "here")
+    with pytest.raises(UserError, match=r"here: field 'dependence.false_discovery_rate'.*got 1.5"):
+        DiagnosisSettings.parse({"dependence": {"false_discovery_rate": 1.5}}, "here")
+
+
+def test_a_reference_too_short_for_the_defaults_is_long_enough_where_less_is_asked_for(robots):
+    transitions = session_of(ExactBase(robots["mgr"]), np.random.default_rng(1), runs=7, steps=70).transitions
+    with pytest.raises(UserError, match="record at least 8 runs"):
+        Reference.learn(transitions, 1)
+    settings = DiagnosisSettings.parse({"reference": {"fewest_runs": 7}}, "here")
+    assert Reference.learn(transitions, 1, settings=settings).settings == settings
+
+
+def test_a_dependence_that_is_too_small_for_the_settings_does_not_matter(robots):
+    base = ExactBase(robots["mgr"])
+    here, there = (session_of(base, np.random.default_rng(seed), runs=80) for seed in (1, 2))
+    rng = np.random.default_rng(3)
+    measured, reference = (
+        StandardisedResidual.of(model, model.evaluate([]))
+        for model in (LikelihoodModel(base, known_noise(), session) for session in (here, there))
+    )
+    measured.residual[:, 0] += 0.4 * np.cos(here.situation.pose[:, 2].numpy() + rng.normal(0, 0.01))
+    found = {test.part: test for test in dependence_tests(measured, reference, 4)}
+    assert found["heading"].found
+    strict = DependenceSettings(least_explained=2 * found["heading"].explained)
+    assert not any(test.found for test in dependence_tests(measured, reference, 4, strict) if test.part == "heading")

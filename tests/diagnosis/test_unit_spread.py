@@ -1,0 +1,158 @@
+"""Units of a robot differ a little: that is no gap, and more than that is."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from exact_base import ExactBase, known_noise, session_of
+
+from exact_model import TRACK_MM
+from swarmtwin.diagnosis.estimation import estimate
+from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.settings import DiagnosisSettings, SearchSettings, UnitSettings
+from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
+from swarmtwin.geometry import compose, exp_map
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.mechanism import mechanism_class, twist_of_wheels, wheel_travel
+
+FEWEST_NATS = SearchSettings().fewest_nats
+
+
+def of_wheels(left, right):
+    """A unit whose wheels are so much faster; one factor each, or one for each run."""
+    factor = torch.tensor(np.stack(np.broadcast_arrays(left, right), axis=-1), dtype=torch.float64).reshape(-1, 2)
+
+    def moved(moment):
+        wheels = wheel_travel(moment.way, TRACK_MM) * factor
+        return exp_map(twist_of_wheels(wheels, moment.way, TRACK_MM))
+
+    return moved
+
+
+def model_of(robot, moved, vehicle, known=("1",), unit_spread=None):
+    base = ExactBase(robot)
+    session = session_of(base, np.random.default_rng(1), moved, vehicle=vehicle)
+    return LikelihoodModel(base, known_noise(), session, known, unit_spread)
+
+
+def nats(model, name, **start):
+    """What a cause gains over nothing."""
+    return estimate(model, [mechanism_class(name).at(start)]).total - model.evaluate([]).total
+
+
+@pytest.mark.parametrize(("left", "right"), [(1.02, 1.02), (0.95, 0.95), (1.05, 0.97), (0.99, 1.01)])
+def test_another_unit_that_differs_a_little_is_no_gap(robots, left, right):
+    moved = of_wheels(left, right)
+    for name, start in (("gain_change", {"gain": 1.0}), ("actuator_asymmetry", {"ratio": 1.0})):
+        assert nats(model_of(robots["mgr"], moved, "2"), name, **start) < FEWEST_NATS / 3
+    same_unit = model_of(robots["mgr"], moved, "1")
+    either = nats(same_unit, "gain_change", gain=1.0), nats(same_unit, "actuator_asymmetry", ratio=1.0)
+    assert max(either) > 2 * FEWEST_NATS
+    assert not same_unit.units.count
+
+
+def test_another_unit_that_differs_much_is_a_gap(robots):
+    assert nats(model_of(robots["mgr"], of_wheels(0.65, 0.65), "2"), "gain_change", gain=1.0) > FEWEST_NATS
+    askew = model_of(robots["mgr"], of_wheels(1.2, 0.8), "2")
+    assert nats(askew, "actuator_asymmetry", ratio=1.0) > FEWEST_NATS
+
+
+def test_what_differs_more_than_units_do_is_estimated(robots):
+    model = model_of(robots["mgr"], of_wheels(1.15, 1.15), "2", unit_spread=0.02)
+    fit = estimate(model, [mechanism_class("gain_change").at({"gain": 1.0})])
+    assert fit.mechanisms[0].gain == pytest.approx(1.15, abs=0.03)
+
+
+def test_the_better_units_are_known_the_smaller_is_a_gap(robots):
+    """Ten per cent are two standard deviations of the prior and no gap; of units that differ by 1 %, they are ten."""
+    moved = of_wheels(0.9, 0.9)
+    assert nats(model_of(robots["mgr"], moved, "2"), "gain_change", gain=1.0) < FEWEST_NATS / 3
+    assert nats(model_of(robots["mgr"], moved, "2", unit_spread=0.01), "gain_change", gain=1.0) > 2 * FEWEST_NATS
+
+
+def test_what_is_left_of_a_strange_unit_is_noise(robots):
+    model = model_of(robots["mgr"], of_wheels(1.02, 0.98), "2")
+    residual = model.evaluate([]).residual
+    size = model.simulated.numpy()
+    for axis in (0, 2):
+        assert abs(np.corrcoef(residual[:, axis], size[:, axis])[0, 1]) < 0.03
+    np.testing.assert_allclose(residual.std(axis=0), 1.0, atol=0.04)
+
+
+def test_a_delay_is_no_difference_of_units(robots):
+    def late(moment):
+        return compose(exp_map(0.1 * moment.way_before), exp_map(0.9 * moment.way))
+
+    model = model_of(robots["mgr"], late, "2")
+    fit = estimate(model, [mechanism_class("command_delay").at({"delay_s": 0.02})])
+    assert fit.total - model.evaluate([]).total > 50 * FEWEST_NATS
+    assert fit.mechanisms[0].delay_s == pytest.approx(0.05, abs=0.001)
+
+
+def test_a_difference_twice_as_large_costs_four_times_as_much(robots):
+    model = model_of(robots["mgr"], of_wheels(1.02, 1.0), "2")
+    residual = model.whitener(model.session.residual_of(model.simulated)).numpy()
+    freed, price = model.units.free(residual)
+    twice, price_of_twice = model.units.free(2 * residual)
+    np.testing.assert_allclose(twice, 2 * freed)
+    assert price_of_twice == pytest.approx(4 * price)
+    assert price > 0
+
+
+def fleet_session(robot, units, spread, seed):
+    """A session of several units, one after the other, whose left and right wheels' speeds spread as said."""
+    base, rng = ExactBase(robot), np.random.default_rng(seed)
+    runs = 12 * units
+    vehicle = np.arange(runs) % units
+    own = 1 + spread * rng.normal(size=(units, 2))
+    session = session_of(base, rng, of_wheels(*own[vehicle].T), runs=runs)
+    transitions = dataclasses.replace(
+        session.transitions,
+        vehicle=vehicle[session.run],
+        vehicles=tuple(str(unit + 1) for unit in range(units)),
+    )
+    return base, MeasuredSession.of(transitions, session.conditions)
+
+
+def estimated(robot, units, spread, seed, prior_units=2.0):
+    base, session = fleet_session(robot, units, spread, seed)
+    situation = session.situation
+    twist = base.twist(situation.command)
+    settings = UnitSettings(prior_units=prior_units)
+    return estimated_unit_spread(base, known_noise(), session, twist, settings)
+
+
+def test_one_unit_says_nothing_of_the_spread_between_units(robots):
+    assert estimated(robots["mgr"], 1, 0.2, 1) == UnitSettings().spread
+
+
+@pytest.mark.parametrize("spread", [0.01, 0.04, 0.1])
+def test_the_spread_between_many_units_is_estimated(robots, spread):
+    """Wheels' speeds of spread σ: ahead and turning go with their mean, σ/√2, the difference with √2 σ."""
+    found = [estimated(robots["mgr"], 8, spread, seed, prior_units=1e-6) for seed in range(6)]
+    expected = spread * np.sqrt((0.5 + 2.0) / 2)
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(expected, rel=0.25)
+
+
+def test_few_units_move_the_prior_a_little_many_more(robots):
+    prior = UnitSettings().spread
+    alike = [estimated(robots["mgr"], units, 0.0, 3) for units in (2, 5, 12)]
+    np.testing.assert_allclose(alike, prior * np.sqrt(2 / (2 + np.array([1, 4, 11]))), rtol=0.05)
+    assert estimated(robots["mgr"], 5, 0.2, 3) > 2 * prior
+
+
+def test_a_reference_of_several_units_expects_what_it_has_seen_and_the_robots_file_goes_before(robots):
+    settings = DiagnosisSettings()
+    alike = fleet_session(robots["mgr"], 5, 0.0, 4)[1].transitions
+    one = dataclasses.replace(alike, vehicle=np.zeros_like(alike.vehicle))
+    assert Reference.learn(one, 1).unit_spread == settings.units.spread
+    assert Reference.learn(alike, 1).unit_spread < 0.7 * settings.units.spread
+    measured = Robot.parse({**robots["mgr"].model_dump(mode="json"), "unit_spread": 0.013}, "measured")
+    assert Reference.learn(dataclasses.replace(alike, robot=measured), 1).unit_spread == 0.013
+
+
+def test_no_shipped_robot_states_what_only_its_stand_in_knows(robots):
+    assert {robot.unit_spread for robot in robots.values()} == {None}

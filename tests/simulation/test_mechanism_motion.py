@@ -1,0 +1,267 @@
+"""What each mechanism does to the motion is what its sentence says, worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from exact_model import ExactDynamics, conditions_of, moved, simulation_with, situation_of
+from swarmtwin.geometry import compose, exp_map, log_map, rotate
+from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names, wheel_travel
+
+ROBOTS = ("mgr", "mur", "create")
+LENS_MM = 1e-6
+
+
+def test_a_delay_of_a_whole_period_is_the_motion_of_the_command_before(robots):
+    robot = robots["mgr"]
+    situation = situation_of(robot, np.random.default_rng(2))
+    base = ExactDynamics(robot)
+    late = moved(robot, "command_delay", situation, delay_s=robot.period_s)[0]
+    before = exp_map(base.twist(situation.previous_command))
+    torch.testing.assert_close(late, before)
+    half = moved(robot, "command_delay", situation, delay_s=robot.period_s / 2)[0]
+    halves = [exp_map(base.twist(command) / 2) for command in (situation.previous_command, situation.command)]
+    torch.testing.assert_close(half, compose(*halves))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
+def test_a_lag_is_the_integral_of_a_decaying_speed(robots, share):
+    robot = robots["mgr"]
+    sent = torch.linspace(-100, 100, 9)[:, None].expand(9, 2)
+    held = torch.full((9, 2), 60.0)
+    changes = {"command": sent, "previous_command": held, "earlier_command": held}
+    situation = situation_of(robot, np.random.default_rng(3), count=9, **changes)
+    lagging, simulated = moved(robot, "actuator_lag", situation, time_constant_s=share * robot.period_s)
+    base = ExactDynamics(robot)
+    old = base.twist(situation.previous_command)
+    fine = (np.arange(20_000) + 0.5) / 20_000
+    left = float(np.exp(-fine / share).mean())
+    torch.testing.assert_close(lagging, simulated + left * (old - simulated), rtol=0, atol=0.05)
+
+
+def test_lag_of_nothing_is_nothing_and_grows_from_there(robots):
+    for robot in (robots["mgr"], robots["mur"]):
+        situation = situation_of(robot, np.random.default_rng(4))
+        sizes = []
+        for time_constant_s in (1e-1, 1e-2, 1e-3):
+            lagging, simulated = moved(robot, "actuator_lag", situation, time_constant_s=time_constant_s)
+            sizes.append(float((lagging - simulated).norm()))
+        assert sizes[1] / sizes[0] == pytest.approx(0.1, abs=0.03)
+        assert sizes[2] / sizes[1] == pytest.approx(0.1, abs=0.03)
+
+
+def test_drift_is_the_same_in_the_arena_whatever_the_heading(robots):
+    for robot in (robots["mgr"], robots["mur"]):
+        rng = np.random.default_rng(5)
+        situation = situation_of(robot, rng, duration_s=rng.uniform(0.3, 0.9, 200))
+        drifting, simulated = moved(robot, "steady_drift", situation, x_mm_s=7.0, y_mm_s=-3.0)
+        apart = compose(situation.pose, drifting) - compose(situation.pose, simulated)
+        expected = situation.duration_s[:, None] * torch.tensor([[7.0, -3.0, 0.0]], dtype=torch.float64)
+        torch.testing.assert_close(apart, expected, rtol=0, atol=1e-9)
+    told = mechanism_class("steady_drift").at({"x_mm_s": 3.0, "y_mm_s": 4.0}).reported()
+    assert told == pytest.approx({"speed_mm_s": 5.0, "direction_rad": math.atan2(4, 3)})
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("camera_scale", {"scale": 1.23}),
+        ("camera_scale", {"scale": 0.7}),
+        ("lens_distortion", {"coefficient": 0.1}),
+        ("lens_distortion", {"coefficient": -0.08}),
+        ("lens_distortion", {"coefficient": 0.4}),
+        ("lens_distortion", {"coefficient": -0.25}),
+        ("marker_offset", {"forward_mm": 12.0, "left_mm": -30.0}),
+        ("marker_yaw", {"angle_rad": 0.4}),
+    ],
+)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_camera_is_undone_exactly(robots, robot, name, values):
+    situation = situation_of(robots[robot], np.random.default_rng(6))
+    camera, conditions = mechanism_class(name).at(values), conditions_of(robots[robot])
+    measured = camera.to_measured(situation.pose, conditions)
+    assert (measured - situation.pose).abs().max() > 0.1
+    back = camera.from_measured(measured, conditions)
+    torch.testing.assert_close(back, situation.pose, rtol=0, atol=LENS_MM if name == "lens_distortion" else 1e-9)
+
+
+def test_a_scaled_camera_scales_ways_and_no_turns(robots):
+    robot = robots["mgr"]
+    measured, simulated = moved(robot, "camera_scale", situation_of(robot, np.random.default_rng(7)), scale=1.3)
+    torch.testing.assert_close(measured[:, :2], 1.3 * simulated[:, :2])
+    torch.testing.assert_close(measured[:, 2], simulated[:, 2])
+
+
+def test_a_turned_marker_turns_the_way_and_no_turns(robots):
+    robot = robots["mgr"]
+    measured, simulated = moved(robot, "marker_yaw", situation_of(robot, np.random.default_rng(8)), angle_rad=0.3)
+    turned = rotate(simulated[:, :2], torch.tensor(-0.3, dtype=torch.float64).expand(len(simulated)))
+    torch.testing.assert_close(measured[:, :2], turned)
+    torch.testing.assert_close(measured[:, 2], simulated[:, 2])
+
+
+def test_a_marker_off_the_centre_goes_round_it_when_the_vehicle_turns(robots):
+    robot = robots["mgr"]
+    simulation = simulation_with(robot, marker_offset={"forward_mm": 9.0, "left_mm": -12.0})
+    situation = situation_of(robot, np.random.default_rng(9), count=20)
+    state = simulation.start(situation.pose[:, None])
+    spin = torch.tensor([-50.0, 50.0]).expand(20, 1, 2)
+    for _ in range(6):
+        state = simulation.step(state, spin)
+        marker = simulation.observe(state)[:, 0, :2]
+        distance_mm = (marker - situation.pose[:, :2]).norm(dim=-1)
+        torch.testing.assert_close(distance_mm, torch.full((20,), 15.0, dtype=torch.float64))
+    assert float((state.pose[:, 0, 2] - situation.pose[:, 2]).abs().min()) > 1.0
+
+
+def test_half_the_gain_is_half_the_way_and_thrust_goes_by_its_exponents(robots):
+    for name, exponents in (("mgr", (1, 1, 1)), ("create", (1, 1, 1)), ("mur", (1.3, 1.9, 1.6))):
+        robot = robots[name]
+        situation = situation_of(robot, np.random.default_rng(10))
+        weaker = simulation_with(
+            robot, conditions=conditions_of(robot, effort_exponents=exponents), gain_change={"gain": 0.5}
+        )
+        factor = 0.5 ** torch.tensor(exponents, dtype=torch.float64)
+        expected = log_map(ExactDynamics(robot).predict(situation)) * factor
+        torch.testing.assert_close(log_map(weaker.predict(situation)), expected)
+
+
+def test_asymmetry_keeps_the_geometric_mean_of_the_wheels(robots):
+    robot = robots["mgr"]
+    situation = situation_of(robot, np.random.default_rng(11))
+    measured, simulated = moved(robot, "actuator_asymmetry", situation, ratio=1.44)
+    track_mm = conditions_of(robot).track_mm
+    factors = wheel_travel(log_map(measured), track_mm) / wheel_travel(log_map(simulated), track_mm)
+    torch.testing.assert_close(factors, torch.tensor([[1.2, 1 / 1.2]], dtype=torch.float64).expand(200, 2))
+
+
+def test_a_trimmed_fin_is_another_angle(robots):
+    robot = robots["mur"]
+    situation = situation_of(robot, np.random.default_rng(12))
+    measured, _ = moved(robot, "actuator_asymmetry", situation, angle_rad=math.radians(5))
+    command = situation.command + torch.tensor([[5.0, 0.0, 0.0]], dtype=torch.float64)
+    torch.testing.assert_close(measured, exp_map(ExactDynamics(robot).twist(command)))
+
+
+def test_small_commands_do_nothing_and_large_ones_are_cut(robots):
+    robot = robots["mgr"]
+    situation = situation_of(robot, np.random.default_rng(13))
+    base = ExactDynamics(robot)
+    dead, cut = situation.command.clone(), situation.command.clamp(-70, 70)
+    dead[dead.abs() < 30] = 0.0
+    for name, values, command in (("dead_band", {"width": 30.0}, dead), ("saturation", {"limit": 70.0}, cut)):
+        measured, _ = moved(robot, name, situation, **values)
+        torch.testing.assert_close(measured, exp_map(base.twist(command)))
+
+
+def test_saturation_of_a_unicycle_is_that_of_its_wheels(robots):
+    robot = robots["create"]
+    situation = situation_of(robot, np.random.default_rng(14))
+    half_mm = robot.actuation.track_mm / 2
+    wheels = [situation.command[:, 0] + sign * half_mm * situation.command[:, 1] for sign in (-1, 1)]
+    left, right = (wheel.clamp(-60, 60) for wheel in wheels)
+    expected = torch.stack([(left + right) / 2, 0 * left, (right - left) / (2 * half_mm)], dim=-1) * robot.period_s
+    torch.testing.assert_close(log_map(moved(robot, "saturation", situation, limit=60.0)[0]), expected)
+
+
+def test_play_is_lost_at_a_reversal_and_only_there(robots):
+    robot = robots["mgr"]
+    signs = torch.tensor([[1, 1, 1], [1, 1, -1], [-1, -1, 1], [-1, -1, -1], [-1, 1, 1]], dtype=torch.float64)
+    earlier, previous, command = (80 * signs[:, [column, column]] for column in range(3))
+    changes = {"command": command, "previous_command": previous, "earlier_command": earlier}
+    situation = situation_of(robot, np.random.default_rng(15), count=5, **changes)
+    measured, simulated = moved(robot, "backlash", situation, travel_mm=4.0)
+    lost = (simulated - measured)[:, 0].tolist()
+    assert lost == pytest.approx([0, -4, 4, 0, 0])
+
+
+def test_a_battery_loses_nothing_at_first_and_its_loss_in_the_end(robots):
+    robot = robots["mgr"]
+    elapsed_s = torch.tensor([0.0, 250.0, 1000.0])
+    situation = situation_of(robot, np.random.default_rng(16), count=3, elapsed_s=elapsed_s)
+    measured, simulated = moved(robot, "battery_sag", situation, loss=0.4, shape=2.0)
+    factor = torch.tensor([[1.0], [1 - 0.4 / 16], [0.6]], dtype=torch.float64)
+    torch.testing.assert_close(log_map(measured), log_map(simulated) * factor)
+
+
+def _along_the_lower_wall(robot, away_mm):
+    pose = torch.tensor([[500.0, robot.arena_mm.y[0] + away, 0.0] for away in away_mm])
+    command = torch.full((len(away_mm), 2), 60.0)
+    return situation_of(robot, np.random.default_rng(17), count=len(away_mm), pose=pose, command=command)
+
+
+def test_a_wall_takes_its_loss_at_it_and_an_eth_of_that_at_its_reach(robots):
+    robot = robots["mgr"]
+    measured, simulated = moved(
+        robot, "wall_effect", _along_the_lower_wall(robot, [0.0, 30.0, 400.0]), loss=0.5, reach_mm=30.0
+    )
+    lost = (1 - measured[:, 0] / simulated[:, 0]).tolist()
+    assert lost == pytest.approx([0.5, 0.5 / math.e, 0.5 * math.exp(-400 / 30)])
+
+
+def test_a_patch_takes_its_loss_inside_and_nothing_outside(robots):
+    robot = robots["mgr"]
+    disc = {"x_mm": 510.0, "y_mm": 200.0, "radius_mm": 100.0, "loss": 0.3}
+    measured, simulated = moved(robot, "surface_patch", _along_the_lower_wall(robot, [200.0, 400.0]), **disc)
+    assert (measured[:, 0] / simulated[:, 0]).tolist() == pytest.approx([0.7, 1.0])
+
+
+def test_neighbours_push_each_other_apart_equally(robots):
+    robot = robots["mgr"]
+    rng = np.random.default_rng(18)
+    poses = torch.as_tensor(np.concatenate([rng.uniform(300, 600, (2, 50, 2)), rng.uniform(-3, 3, (2, 50, 1))], axis=2))
+    ends = []
+    for own, other in ((0, 1), (1, 0)):
+        away = rotate(poses[other, :, :2] - poses[own, :, :2], -poses[own, :, 2])
+        neighbours = torch.cat([away, torch.zeros(50, 1)], dim=-1)[:, None]
+        unknown = torch.full_like(neighbours, torch.nan)
+        changes = {"command": torch.zeros(50, 2), "neighbours": torch.cat([neighbours, unknown], dim=1)}
+        situation = situation_of(robot, rng, count=50, pose=poses[own], **changes)
+        measured, _ = moved(robot, "neighbour_interaction", situation, strength_mm_s=20.0, reach_mm=80.0)
+        ends.append((compose(poses[own], measured) - poses[own])[:, :2])
+    torch.testing.assert_close(ends[0], -ends[1])
+    apart = poses[0, :, :2] - poses[1, :, :2]
+    distance_mm = apart.norm(dim=-1, keepdim=True)
+    expected = 20.0 * robot.period_s * torch.exp(-distance_mm / 80) * apart / distance_mm
+    torch.testing.assert_close(ends[0], expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("probability", [0.0, 0.2, 0.6])
+def test_a_command_arrives_or_the_one_in_force_goes_on(robots, probability):
+    robot = robots["mgr"]
+    simulation = simulation_with(robot, command_loss={"probability": probability})
+    rng = np.random.default_rng(19)
+    state = simulation.start(torch.zeros(4000, 1, 3))
+    drawn, lost = torch.Generator().manual_seed(1), 0
+    for _ in range(3):
+        sent = torch.as_tensor(rng.uniform(robot.command_low, robot.command_high)).expand(4000, 1, 2)
+        before = state.previous_command.nan_to_num(0.0)
+        state = simulation.step(state, sent, rng=drawn)
+        goes_on = (state.previous_command == before).all(dim=-1)
+        assert torch.equal(torch.where(goes_on[..., None], before, sent), state.previous_command)
+        lost += int(goes_on.sum())
+    assert lost / 12_000 == pytest.approx(probability, abs=4 * math.sqrt(probability * (1 - probability) / 12_000))
+    likely = simulation.step(state, sent).previous_command
+    assert torch.equal(likely, sent if probability < 0.5 else state.previous_command)
+
+
+def test_motion_lasts_as_long_as_the_period(robots):
+    for robot in (robots["mgr"], robots["mur"]):
+        rng = np.random.default_rng(20)
+        periods = rng.uniform(0.5, 1.6, 200)
+        situation = situation_of(robot, rng, duration_s=periods * robot.period_s)
+        measured, simulated = moved(robot, "timing_jitter", situation)
+        torch.testing.assert_close(log_map(measured), log_map(simulated) * torch.as_tensor(periods)[:, None])
+    jitter = mechanism_class("timing_jitter")
+    assert jitter.read_from_clock(np.array([0.45, 0.55] * 50), 0.5) == pytest.approx({"spread": 0.1})
+    assert jitter.read_from_clock(np.full(100, 0.5), 0.5) is None
+
+
+def test_only_a_change_of_noise_multiplies_noise(robots):
+    for name in mechanism_names():
+        kind = mechanism_class(name)
+        start = kind.initial_points(robots["mgr"], conditions_of(robots["mgr"]))[0]
+        expected = 1.7 if name == "noise_change" else 1.0
+        assert kind.at({**start, "factor": 1.7}).noise_factor() == expected

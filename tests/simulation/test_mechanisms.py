@@ -1,0 +1,159 @@
+"""The catalogue is that of the design, each mechanism says what it is, and does nothing where it is neutral."""
+
+import string
+
+import numpy as np
+import pytest
+import torch
+
+from exact_model import conditions_of, moved, situation_of
+from swarmtwin.errors import UserError
+from swarmtwin.robot import Arena, Robot
+from swarmtwin.simulation.mechanism import mechanism, mechanism_class, mechanism_names, offered
+
+CATALOGUE = {
+    "gain_change",
+    "actuator_asymmetry",
+    "dead_band",
+    "saturation",
+    "command_delay",
+    "actuator_lag",
+    "backlash",
+    "battery_sag",
+    "surface_patch",
+    "steady_drift",
+    "wall_effect",
+    "neighbour_interaction",
+    "camera_scale",
+    "lens_distortion",
+    "marker_offset",
+    "marker_yaw",
+    "command_loss",
+    "timing_jitter",
+    "noise_change",
+}
+ROBOTS = ("mgr", "mur", "create")
+
+
+def changed(robot, **content):
+    return Robot.parse({**robot.model_dump(mode="json"), **content}, "changed")
+
+
+def braces(words):
+    return {field for _, field, _, _ in string.Formatter().parse(words) if field}
+
+
+def test_the_catalogue_is_that_of_the_design():
+    assert set(mechanism_names()) >= CATALOGUE
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_a_mechanism_says_what_it_is_and_what_to_do(robots, name):
+    kind = mechanism_class(name)
+    assert kind.model_fields["name"].default == name
+    assert kind.remedy[0].islower()
+    told = [
+        set(kind.units(robots[robot], conditions_of(robots[robot])))
+        for robot in ROBOTS
+        if kind.suits(robots[robot], conditions_of(robots[robot]))
+    ]
+    assert told
+    assert braces(kind.words) <= set().union(*told)
+    assert all(braces(kind.words) & parameters for parameters in told)
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_parameters_are_bounded_and_searches_begin_inside(robots, robot, name):
+    robot = robots[robot]
+    conditions = conditions_of(robot)
+    kind = offered(robot, conditions).get(name)
+    assert kind is not None
+    parameters = kind.parameters_of(robot, conditions_of(robot))
+    for parameter in parameters.values():
+        assert parameter.low < parameter.high
+        assert 0 < parameter.response_step < parameter.size / 2
+        assert parameter.null_value is None or parameter.low <= parameter.null_value <= parameter.high
+        assert all(parameter.low <= start <= parameter.high for start in parameter.initial_values)
+    for start in kind.initial_points(robot, conditions):
+        assert set(start) == set(parameters)
+        assert all(parameter.low <= start[field] <= parameter.high for field, parameter in parameters.items())
+        assert set(kind.at({**start, **_observed(kind)}).reported()) == set(kind.units(robot, conditions))
+        mechanism({"name": name, **start, **_observed(kind)}, "here")
+    assert not parameters or any(parameter.null_value is not None for parameter in parameters.values())
+
+
+def _observed(kind):
+    return kind.read_from_clock(np.array([0.45, 0.55]), 0.5) or {}
+
+
+def test_an_unknown_cause_and_an_unknown_parameter_are_refused_with_the_near_miss():
+    with pytest.raises(UserError, match="gain_change"):
+        mechanism({"name": "gain_chance", "gain": 1.0}, "here")
+    with pytest.raises(UserError, match=r"here: unknown field 'gian'.*gain"):
+        mechanism({"name": "gain_change", "gain": 1.0, "gian": 1.0}, "here")
+
+
+def test_what_makes_no_sense_for_a_robot_is_not_offered(robots):
+    mgr, mur = robots["mgr"], robots["mur"]
+    assert set(offered(mgr, conditions_of(mgr))) >= CATALOGUE
+    without_track = set(offered(mgr, conditions_of(mgr, track_mm=None)))
+    assert without_track & CATALOGUE == CATALOGUE - {"actuator_asymmetry", "backlash"}
+    boat = {"kind": "thrust", "effort": ["amplitude_deg"]}
+    unsteered = changed(mur, actuators=boat, kinematics="differential_drive")
+    assert set(offered(unsteered, conditions_of(unsteered))) & CATALOGUE == CATALOGUE - {"actuator_asymmetry"}
+    columns = {"angle": {"low": -79, "high": 79, "unit": "deg"}, "jet": {"low": 0, "high": 12, "unit": "V"}}
+    actuators = {"kind": "thrust", "effort": ["jet"], "steering": "angle"}
+    jet = changed(mur, command=columns, actuators=actuators)
+    assert set(offered(jet, conditions_of(jet))) & CATALOGUE == CATALOGUE - {"backlash"}
+
+
+def test_parameters_are_those_of_the_actuator(robots):
+    backlash, asymmetry = mechanism_class("backlash"), mechanism_class("actuator_asymmetry")
+    assert set(backlash.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"travel_mm"}
+    assert set(backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"travel_rad"}
+    assert set(asymmetry.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"ratio"}
+    assert set(asymmetry.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"angle_rad"}
+    assert (
+        mechanism_class("dead_band").parameters_of(robots["mgr"], conditions_of(robots["mgr"]))["width"].unit == "PWM"
+    )
+    assert (
+        mechanism_class("saturation").parameters_of(robots["create"], conditions_of(robots["create"]))["limit"].unit
+        == "mm/s"
+    )
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE - {"timing_jitter"}))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_nothing_changes_where_a_mechanism_is_neutral_and_something_does_elsewhere(robots, robot, name):
+    robot = robots[robot]
+    situation = situation_of(robot, np.random.default_rng(1))
+    kind = mechanism_class(name)
+    parameters = kind.parameters_of(robot, conditions_of(robot))
+    neutral = {
+        field: one.initial_values[0] if one.null_value is None else one.null_value for field, one in parameters.items()
+    }
+    measured, simulated = moved(robot, name, situation, **neutral)
+    torch.testing.assert_close(measured, simulated, rtol=0, atol=1e-5)
+    away = {
+        field: value if parameters[field].null_value is None else value + _inwards(parameters[field])
+        for field, value in neutral.items()
+    }
+    if name not in ("noise_change", "command_loss"):
+        measured, simulated = moved(robot, name, situation, **away)
+        assert (measured - simulated).abs().max() > 1e-2
+
+
+def _inwards(parameter):
+    step = 0.2 * parameter.size
+    return step if parameter.null_value + step <= parameter.high else -step
+
+
+def test_a_patch_is_sought_in_the_arena_that_was_recorded_in(robots):
+    """It may be larger than the robot's usual one."""
+    hall = Arena(x=(-2000, 3000), y=(0, 4000))
+    conditions = conditions_of(robots["mgr"], arena_mm=hall)
+    bounds = {("surface_patch", "x_mm"): 3000, ("surface_patch", "radius_mm"): 1800, ("wall_effect", "reach_mm"): 2000}
+    for (name, field), high in bounds.items():
+        parameter = mechanism_class(name).parameters_of(robots["mgr"], conditions)[field]
+        assert parameter.high == pytest.approx(high)
