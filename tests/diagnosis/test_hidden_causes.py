@@ -10,7 +10,8 @@ from hidden_sessions import SEED, hidden, learned, nothing_hidden
 from scipy import stats
 
 from swarmtwin.diagnosis.diagnose import diagnose
-from swarmtwin.studies.hidden_effects.cases import CATALOGUE, OUTSIDE, VARIETIES
+from swarmtwin.studies.hidden_effects.cases import CATALOGUE, OUTSIDE, VARIETIES, Case
+from swarmtwin.studies.hidden_effects.sessions import measure
 
 CLEAR = 0.85
 ROBOTS = ("mgr", "mur")
@@ -55,6 +56,17 @@ def test_clear_effects_are_named_first(robots, references):
             said.append((session.about, result.verdict, named))
             assert not_worse(result), session.about
     assert right >= fewest(len(said), 0.85), said
+
+
+def test_the_example_of_the_readme_is_answered_with_what_is_hidden(robots, references):
+    """A delay looks like a lag, and both are half of what is wrong: the other half is the battery."""
+    effects = ({"name": "battery_sag", "loss": 0.2}, {"name": "command_delay", "delay_s": 0.05})
+    case = Case(kind="pair", variety="readme", robot="mgr", effects=effects, runs=100, steps=40, seed=12)
+    result = diagnose(references["mgr"], measure(case, robots["mgr"]).recording, SEED).result
+    causes = {cause.name: {name: one.value for name, one in cause.parameters.items()} for cause in result.causes}
+    assert set(causes) == {"battery_sag", "command_delay"}
+    assert causes["command_delay"]["delay_s"] == pytest.approx(0.05, abs=0.004)
+    assert causes["battery_sag"]["loss"] == pytest.approx(0.2, abs=0.015)
 
 
 def test_nothing_is_named_where_nothing_is_wrong(robots, references):

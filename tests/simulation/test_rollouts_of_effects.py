@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from exact_model import MM_PER_PWM, SESSION_S, TRACK_MM, ExactDynamics, simulation_with
+from exact_model import MM_PER_PWM, SESSION_S, TRACK_MM, ExactDynamics, conditions_of, simulation_with
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.geometry import compose, exp_map, log_map, wrap_angle
 from swarmtwin.simulation.mechanism import mechanism_names
@@ -322,6 +322,56 @@ def test_mean_and_spread_are_those_of_the_effect(robots, robot, name, world, val
     plain = rolled_out(simulation_with(robot, motion_noise=NOISE), robot, start, elapsed_s)
     changed = np.abs(plain.mean(axis=1) - mean)[..., :2].max() > 1.0 or (spread / plain.std(axis=1))[-1].max() > 1.3
     assert changed or name == "marker_yaw"
+
+
+class SluggishWheels(ExactDynamics):
+    """Wheels whose speeds follow each command with a lag of their own, integrated in small steps."""
+
+    inputs = ("command", "previous_command")
+    own_lag = 0.11
+
+    def predict(self, situation):
+        new, old = (self.twist(one.double()) for one in (situation.command, situation.previous_command))
+        moved = torch.zeros_like(new)
+        for step in range(FINE):
+            left = math.exp(-(step + 0.5) / FINE / self.own_lag)
+            moved = compose(moved, exp_map((new + (old - new) * left) / FINE))
+        return moved
+
+
+def sluggish_poses(robot, delay_s=0.0, time_constant_s=0.0):
+    """Poses (T, 3) of one vehicle with sluggish wheels whose commands come late, or which follow later still."""
+    lag = SluggishWheels.own_lag + time_constant_s / robot.period_s
+    twists = [SluggishWheels(robot).twist(torch.tensor([one], dtype=torch.float64)) for one in COMMANDS["mgr"]]
+    pose, now, before, poses = torch.as_tensor(START["mgr"][None]), 0 * twists[0], 0 * twists[0], []
+    for new in twists:
+        for step in range(FINE):
+            target = before if (step + 0.5) / FINE < delay_s / robot.period_s else new
+            after = target + (now - target) * math.exp(-1 / FINE / lag)
+            pose = compose(pose, exp_map((now + after) / 2 / FINE))
+            now = after
+        before = new
+        poses.append(pose[0].numpy())
+    return np.stack(poses)
+
+
+@pytest.mark.parametrize("delay_s", [0.05, 0.2])
+def test_a_delay_and_a_further_lag_of_wheels_that_lag_anyway_are_told_apart(robots, delay_s):
+    """Both shift the wheels' speeds by the same time: the order of old and new motion within a period parts them."""
+    robot, truth, simulated = robots["mgr"], {}, {}
+    values = {"command_delay": {"delay_s": delay_s}, "actuator_lag": {"time_constant_s": delay_s}}
+    for name, own in values.items():
+        conditions = conditions_of(robot, own_lag=SluggishWheels.own_lag)
+        simulation = simulation_with(robot, SluggishWheels(robot), conditions, **{name: own})
+        state, poses = simulation.start(torch.as_tensor(START["mgr"][None, None])), []
+        for command in COMMANDS["mgr"]:
+            state = simulation.step(state, torch.tensor([[command]], dtype=torch.float64))
+            poses.append(state.pose[0, 0].numpy())
+        truth[name], simulated[name] = sluggish_poses(robot, **own), np.stack(poses)
+        np.testing.assert_allclose(simulated[name][:, 2], truth[name][:, 2], atol=0.005)
+    apart = np.hypot(*(truth["command_delay"] - truth["actuator_lag"])[:, :2].T).max()
+    for name, poses in simulated.items():
+        assert np.hypot(*(poses - truth[name])[:, :2].T).max() < apart / 10, (name, apart)
 
 
 def test_neighbours_push_each_other_apart_all_the_way(robots):

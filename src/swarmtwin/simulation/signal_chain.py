@@ -203,6 +203,27 @@ def _relaxed(start: Tensor, target: Tensor, share: float, lag: float) -> tuple[T
     return target + (start - target) * (lag / share * (1 - left)), target + (start - target) * left
 
 
+def _relaxed_twist(start: Tensor, target: Tensor, share: float, lag: float) -> tuple[Tensor, Tensor]:
+    """Return the constant twist that brings vehicles as far as one that goes from `start` to `target`, and its end.
+
+    The mean, and to second order what it matters that the old twist (N, 3) comes first: half the integral of the Lie
+    bracket of earlier and later twists, (Magnus 1954, as for any g' = g ξ on SE(2)).
+    """
+    mean, end = _relaxed(start, target, share, lag)
+    if lag <= 0:
+        return mean, end
+    left = math.exp(-share / lag)
+    moment = lag * (1 + left) - 2 * lag**2 / share * (1 - left)
+    return mean + moment / 2 * _bracket(start - target, target), end
+
+
+def _bracket(one: Tensor, other: Tensor) -> Tensor:
+    """Return the Lie bracket (N, 3) of twists on SE(2)."""
+    ahead = other[:, 2] * one[:, 1] - one[:, 2] * other[:, 1]
+    left = one[:, 2] * other[:, 0] - other[:, 2] * one[:, 0]
+    return torch.stack([ahead, left, torch.zeros_like(left)], dim=-1)
+
+
 def _following_twists(
     mechanisms: Sequence[Mechanism],
     twists: BaseTwists,
@@ -224,8 +245,8 @@ def _following_twists(
     pieces, references, shares = [], [], []
     for start, end in pairwise((0.0, *ends)):
         share = end - start
-        mean, twist = _relaxed(twist, old if end <= latency else new, share, own_lag + added_lag)
-        reference_mean, reference = _relaxed(reference, new, share, own_lag)
+        mean, twist = _relaxed_twist(twist, old if end <= latency else new, share, own_lag + added_lag)
+        reference_mean, reference = _relaxed_twist(reference, new, share, own_lag)
         pieces.append(mean)
         references.append(reference_mean)
         shares.append(share)

@@ -39,8 +39,8 @@ class Config(Mechanism):
         return self.time_constant_s
 
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
-        """Look at wheels in eighths of a period, at thrust after each eighth of the change of its setting."""
+        """Look at thrust after each eighth of the change of its setting."""
         if robot.actuation.kind == "wheel":
-            return tuple(step / 8 for step in range(1, 8))
+            return ()
         lag = self.time_constant_s / robot.period_s
         return (*(lag * math.log(8 / left) for left in range(7, 0, -1)), 5 * lag)
