@@ -19,7 +19,7 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import BaseTwists, actuator_motion, period_motion, remembered_after_long
+from swarmtwin.simulation.signal_chain import BaseTwists, period_motion, remembered_after_two
 
 PLACES = (0, 1, 2)
 
@@ -120,9 +120,7 @@ class OneStepPredictor:
             roles,
             clock_is_nominal=any(mechanism.follows_clock() for mechanism in mechanisms),
         )
-        memory = remembered_after_long(mechanisms, twists, 2)
-        if memory:
-            memory = actuator_motion(mechanisms, twists, 1, memory).memory
+        memory = remembered_after_two(mechanisms, twists)
         displacement = period_motion(mechanisms, twists, memory).displacement
         if not moved_camera:
             return log_map(displacement)

@@ -6,11 +6,12 @@ the model's own answer stands. Twists are per nominal period: (N, 3) forward_mm,
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -109,23 +110,34 @@ class PeriodMotion(NamedTuple):
 
 def remembered_after_long(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:
     """Return what actuators remember that have long been given the command in a place."""
-    if not _has_memory(mechanisms, twists.moment):
+    moment = twists.moment
+    with_memory = [one for one in mechanisms if one.initial_memory(torch.zeros(1, 3), moment) is not None]
+    if not with_memory and all(one.latency_s() <= 0 and one.added_lag_s() <= 0 for one in mechanisms):
         return {}
-    twist = _supplied(mechanisms, twists.steady(place), twists.moment)
-    memory = {TWIST: twist, REFERENCE_TWIST: twist, SETTING: twists.setting(place)}
-    for mechanism in mechanisms:
-        own = mechanism.initial_memory(twist, twists.moment)
-        if own is not None:
-            memory[mechanism.name] = own
+    memory = _at_rest_in(mechanisms, twists, place)
+    for mechanism in with_memory:
+        own = mechanism.initial_memory(_supplied(mechanisms, twists.steady(place), moment), moment)
+        assert own is not None
+        memory[mechanism.name] = own
     return memory
+
+
+def remembered_after_two(mechanisms: Sequence[Mechanism], twists: BaseTwists) -> dict[str, Tensor]:
+    """Return what actuators remember that have long been given the command in place 2, and then that in place 1."""
+    memory = remembered_after_long(mechanisms, twists, 2)
+    if set(memory) != {SETTING}:
+        return actuator_motion(mechanisms, twists, 1, memory).memory if memory else {}
+    latency, added_lag = _delays(mechanisms, twists.moment)  # settings change whatever they bring about
+    changes = _setting_changes(
+        twists, 1, memory[SETTING], (latency, 1.0) if latency > 0 else (1.0,), latency, added_lag
+    )
+    return {SETTING: list(changes)[-1].end}
 
 
 def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
     """Move the actuators through the period of the command in a place, after those before it."""
     moment = replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
-    period_s = moment.robot.period_s
-    latency = min(sum(mechanism.latency_s() for mechanism in mechanisms) / period_s, 1.0)
-    added_lag = sum(mechanism.added_lag_s() for mechanism in mechanisms) / period_s
+    latency, added_lag = _delays(mechanisms, moment)
     ends = _ends(mechanisms, moment, latency)
     shares = [end - start for start, end in pairwise((0.0, *ends))]
     response = _supplied(mechanisms, twists.response(place), moment)
@@ -136,7 +148,7 @@ def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: 
         knows_before = "previous_command" in twists.dynamics.inputs
         end = _supplied(mechanisms, twists.steady(place), moment) if knows_before else response
         if carried:
-            carried |= {TWIST: end, REFERENCE_TWIST: end, SETTING: twists.setting(place)}
+            carried |= _at_rest_in(mechanisms, twists, place)
     elif moment.robot.actuation.kind == "thrust":
         pieces, carried = _following_settings(mechanisms, twists, place, carried, ends, latency, added_lag)
         learned = response - _supplied(mechanisms, twists.steady(place), moment)
@@ -169,15 +181,19 @@ def period_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: M
     return PeriodMotion(_carried_along(mechanisms, displacement, moment), motion.memory)
 
 
-def _has_memory(mechanisms: Sequence[Mechanism], moment: Moment) -> bool:
-    """Say whether any mechanism needs to know how the actuators moved before."""
-    nothing = torch.zeros(1, 3, dtype=torch.float64)
-    return any(
-        mechanism.latency_s() > 0
-        or mechanism.added_lag_s() > 0
-        or mechanism.initial_memory(nothing, moment) is not None
-        for mechanism in mechanisms
-    )
+def _delays(mechanisms: Sequence[Mechanism], moment: Moment) -> tuple[float, float]:
+    """Return by how much commands come late, and with which time constant actuators follow them, both in periods."""
+    period_s = moment.robot.period_s
+    latency = sum(mechanism.latency_s() for mechanism in mechanisms) / period_s
+    return min(latency, 1.0), sum(mechanism.added_lag_s() for mechanism in mechanisms) / period_s
+
+
+def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:
+    """Return what actuators remember that have come to rest in the command of a place: a setting, or wheels' twists."""
+    if twists.moment.robot.actuation.kind == "thrust":
+        return {SETTING: twists.setting(place)}
+    twist = _supplied(mechanisms, twists.steady(place), twists.moment)
+    return {TWIST: twist, REFERENCE_TWIST: twist}
 
 
 def _ends(mechanisms: Sequence[Mechanism], moment: Moment, latency: float) -> tuple[float, ...]:
@@ -195,26 +211,24 @@ def _supplied(mechanisms: Sequence[Mechanism], twist: Tensor, moment: Moment) ->
     return twist
 
 
-def _relaxed(start: Tensor, target: Tensor, share: float, lag: float) -> tuple[Tensor, Tensor]:
-    """Return the mean and the end of what goes from `start` to `target` with a lag, over a share, both in periods."""
+def _left_over(share: float, lag: float) -> tuple[float, float]:
+    """Return what is left of a change followed with a lag over a share, both in periods: on average, and at last."""
     if lag <= 0:
-        return target, target
+        return 0.0, 0.0
     left = math.exp(-share / lag)
-    return target + (start - target) * (lag / share * (1 - left)), target + (start - target) * left
+    return lag / share * (1 - left), left
 
 
 def _relaxed_twist(start: Tensor, target: Tensor, share: float, lag: float) -> tuple[Tensor, Tensor]:
     """Return the constant twist that brings vehicles as far as one that goes from `start` to `target`, and its end.
 
     The mean, and to second order what it matters that the old twist (N, 3) comes first: half the integral of the Lie
-    bracket of earlier and later twists, (Magnus 1954, as for any g' = g ξ on SE(2)).
+    bracket of earlier and later twists, as Magnus (1954) expands g' = g ξ.
     """
-    mean, end = _relaxed(start, target, share, lag)
-    if lag <= 0:
-        return mean, end
-    left = math.exp(-share / lag)
-    moment = lag * (1 + left) - 2 * lag**2 / share * (1 - left)
-    return mean + moment / 2 * _bracket(start - target, target), end
+    late = start - target
+    on_average, left = _left_over(share, lag)
+    order = (lag * (1 + left) - 2 * lag * on_average) / 2
+    return target + late * on_average + _bracket(late, target) * order, target + late * left
 
 
 def _bracket(one: Tensor, other: Tensor) -> Tensor:
@@ -255,7 +269,7 @@ def _following_twists(
     if own_lag > 0:
         undisturbed = _composed([(share, piece + learned) for share, piece in zip(shares, references, strict=True)])
         correction = response - log_map(undisturbed)
-    carried = {**memory, TWIST: twist, REFERENCE_TWIST: reference, SETTING: twists.setting(place)}
+    carried = {**memory, TWIST: twist, REFERENCE_TWIST: reference}
     return [piece + learned for piece in pieces], correction, carried
 
 
@@ -269,16 +283,63 @@ def _following_settings(
     added_lag: float,
 ) -> tuple[list[Tensor], dict[str, Tensor]]:
     """Let the setting of fins or propellers follow the command, late and gradually: each piece's mean twist, memory."""
-    setting, pieces = memory[SETTING], []
-    for start, end in pairwise((0.0, *ends)):
-        at = place + 1 if end <= latency else place
-        if added_lag > 0:
-            mean, setting = _relaxed(setting, twists.setting(at), end - start, added_lag)
-            piece = twists.at_setting(mean)
-        else:
-            setting, piece = twists.setting(at), twists.steady(at)
-        pieces.append(_supplied(mechanisms, piece, twists.moment))
-    return pieces, {**memory, TWIST: pieces[-1], REFERENCE_TWIST: pieces[-1], SETTING: setting}
+    pieces: list[Tensor] = []
+    for change in _setting_changes(twists, place, memory[SETTING], ends, latency, added_lag):
+        pieces += [_supplied(mechanisms, piece, twists.moment) for piece in change.twists(twists)]
+        setting = change.end
+    return pieces, {**memory, SETTING: setting}
+
+
+class _SettingChange(NamedTuple):
+    """Settings that go from `start` (N, m) towards the command in a place, and what is left of the way at each piece.
+
+    Attributes:
+        start: (N, m) at first.
+        towards: the place.
+        left: mean share of the way that is left, over each piece.
+        end: (N, m) at last.
+    """
+
+    start: Tensor
+    towards: int
+    left: list[float]
+    end: Tensor
+
+    def twists(self, twists: BaseTwists) -> list[Tensor]:
+        """Return the mean twist (N, 3) of each piece, of fourth degree in what is left of the way.
+
+        A twist changes smoothly along the way: five settings are asked for, at the Chebyshev points, however many
+        pieces there are.
+        """
+        target = twists.setting(self.towards)
+        steady = twists.steady(self.towards)
+        if not any(self.left):
+            return [steady] * len(self.left)
+        points = (1 - np.cos(np.linspace(0, np.pi, 5))) / 2
+        known = [steady, *(twists.at_setting(target + point * (self.start - target)) for point in points[1:])]
+        weights = np.linalg.solve(np.vander(points).T, np.vander(self.left, len(points)).T).T
+        return [
+            sum((float(one) * twist for one, twist in zip(row, known, strict=True)), torch.zeros_like(steady))
+            for row in weights
+        ]
+
+
+def _setting_changes(
+    twists: BaseTwists, place: int, setting: Tensor, ends: Sequence[float], latency: float, added_lag: float
+) -> Iterator[_SettingChange]:
+    """Yield how settings change over a period: towards the command before until the new one acts, then towards that."""
+    pieces = list(pairwise((0.0, *ends)))
+    for at in (place + 1, place):
+        shares = [end - start for start, end in pieces if (end <= latency) == (at == place + 1)]
+        left, rest = [], 1.0
+        for share in shares:
+            on_average, at_last = _left_over(share, added_lag)
+            left.append(rest * on_average)
+            rest *= at_last
+        if shares:
+            start, target = setting, twists.setting(at)
+            setting = target + rest * (start - target)
+            yield _SettingChange(start, at, left, setting)
 
 
 def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, moment: Moment) -> tuple[Tensor, Tensor]:

@@ -18,7 +18,7 @@ from swarmtwin.robot import SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import BaseTwists, actuator_motion, period_motion, remembered_after_long
+from swarmtwin.simulation.signal_chain import BaseTwists, period_motion, remembered_after_long, remembered_after_two
 from swarmtwin.simulation.state import State
 
 
@@ -225,9 +225,7 @@ class Simulation(nn.Module):
     def _end_after(self, commands: Sequence[Tensor], moment: Moment) -> Tensor:
         """Return the true poses (N, 3) after the first of the commands; the others, (N, m), were held before it."""
         twists = self._twists(moment, commands)
-        memory = remembered_after_long(self.mechanisms, twists, len(commands) - 1)
-        if memory:
-            memory = actuator_motion(self.mechanisms, twists, 1, memory).memory
+        memory = remembered_after_two(self.mechanisms, twists)
         displacement, _ = self._motion(moment, commands, memory)
         return compose(moment.pose, displacement)
 
