@@ -60,5 +60,5 @@ def at_most(duration_s: np.ndarray | float, limit_s: np.ndarray | float, roundin
         limit_s: broadcasting to it.
         rounding_s: by how much a sum or difference of times may be off; times themselves are written to 1 ms.
     """
-    within: np.ndarray = duration_s <= limit_s + rounding_s
+    within: np.ndarray = np.less_equal(duration_s, limit_s + rounding_s)
     return within
