@@ -22,10 +22,22 @@ class Surroundings(NamedTuple):
     carried_y_mm_s: Any = 0.0
 
 
+class Unit(ABC):
+    """What differs from one unit of a robot to the next, by fabrication: arrays that broadcast to V vehicles."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, vehicles: Sequence[str], dtype: Any = np.float64) -> Self:
+        """Return the units with these V ids; the same id always gives the same unit."""
+
+
 class Physics(ABC):
     """A robot's motion. A state is (states, ...), its first three the true pose: x_mm, y_mm, heading_rad (not wrapped).
 
     Attributes:
+        unit: the vehicles' own properties.
+        conditions: the effects that are switched on.
+        unit_class: what its units are.
         command_columns: of the commands that it takes, in order.
         states: names of the states.
         substeps: time steps in a control period.
@@ -39,6 +51,8 @@ class Physics(ABC):
         bank_rows: hidden states, at least, to draw from for an expectation.
     """
 
+    unit: Unit
+    unit_class: ClassVar[type[Unit]]
     command_columns: ClassVar[tuple[str, ...]]
     states: ClassVar[tuple[str, ...]]
     substeps: ClassVar[int]
@@ -51,13 +65,14 @@ class Physics(ABC):
     noise_draws: ClassVar[int] = 32
     bank_rows: ClassVar[int] = 131_072
 
-    def __init__(self, conditions: ActiveEffects) -> None:
+    def __init__(self, unit: Unit, conditions: ActiveEffects) -> None:
+        self.unit = unit
         self.conditions = conditions
 
     @classmethod
-    @abstractmethod
     def of(cls, vehicles: Sequence[str], conditions: ActiveEffects, dtype: type = np.float64) -> Self:
         """Return the physics of the units with these ids, under conditions; properties are of a floating `dtype`."""
+        return cls(cls.unit_class.of(vehicles, dtype), conditions)
 
     def at_rest(self, pose: np.ndarray) -> np.ndarray:
         """Return the states (states, ...) of vehicles standing at poses (3, ...)."""
