@@ -142,7 +142,12 @@ class Description(StrictModel):
 
 
 GENERATOR_FOLDER = StoredFolder(
-    DESCRIPTION, Description, holds="generator", made_by="generate", remedy="generate the folder anew"
+    DESCRIPTION,
+    Description,
+    holds="generator",
+    made_by="generate",
+    remedy="generate the folder anew",
+    allow_unicode=True,
 )
 
 read_description = GENERATOR_FOLDER.read

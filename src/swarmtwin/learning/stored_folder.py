@@ -29,6 +29,7 @@ class StoredFolder(Generic[DescriptionT]):
         holds: what such a folder holds, as messages call it: "model".
         made_by: the command that makes such folders.
         remedy: what to do about a damaged one: "train the model anew".
+        allow_unicode: whether letters beyond ASCII stand in the YAML file as they are, rather than escaped.
         weights_file: name of the other file.
     """
 
@@ -37,6 +38,7 @@ class StoredFolder(Generic[DescriptionT]):
     holds: str
     made_by: str
     remedy: str
+    allow_unicode: bool = False
     weights_file: str = "weights.safetensors"
 
     def save(self, folder: Path, description: DescriptionT, weights: Mapping[str, Tensor]) -> None:
@@ -45,7 +47,8 @@ class StoredFolder(Generic[DescriptionT]):
         with whole_file(folder / self.weights_file) as aside:
             save_file(plain, aside)
         content = description.model_dump(mode="json")
-        write_text(folder / self.description_file, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
+        text = yaml.safe_dump(content, sort_keys=False, allow_unicode=self.allow_unicode)
+        write_text(folder / self.description_file, text)
 
     def read(self, folder: Path) -> DescriptionT:
         """Read the description in `folder`, without executing anything in it.
