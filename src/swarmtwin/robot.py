@@ -1,18 +1,18 @@
 """What a robot is: its commands, its period and what is believable of its motion, from one file in `conf/robot/`."""
 
-import logging
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from swarmtwin import kinematics
 from swarmtwin.errors import UserError, near_miss
-from swarmtwin.kinematics import KinematicEquations
+from swarmtwin.kinematics import Actuators, KinematicEquations
 from swarmtwin.plugins import PluginRegistry
+from swarmtwin.strict_model import Positive, StrictModel
 
 POSE_COLUMNS = ("x_mm", "y_mm", "heading_rad")
 DISPLACEMENT_COLUMNS = ("forward_mm", "left_mm", "turn_rad")
@@ -21,7 +21,6 @@ RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
 SituationPart = Literal[
     "command", "previous_command", "earlier_command", "pose", "elapsed_s", "duration_s", "neighbours"
 ]
-Positive = Annotated[float, Field(gt=0)]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 
 
@@ -31,43 +30,7 @@ def _increasing(bounds: tuple[float, float]) -> tuple[float, float]:
     return bounds
 
 
-logger = logging.getLogger(__name__)
 Bounds = Annotated[tuple[float, float], AfterValidator(_increasing)]
-
-
-class StrictModel(BaseModel):
-    """A typed piece of configuration: unknown fields and wrong types are errors, and it never changes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
-
-    @classmethod
-    def parse(cls, content: Any, where: str) -> Self:
-        """Validate `content`, read from `where`.
-
-        Raises:
-            UserError: naming `where`, the field, and for an unknown field the one probably meant.
-        """
-        try:
-            return cls.model_validate(content)
-        except ValidationError as error:
-            first = error.errors()[0]
-            field = ".".join(str(part) for part in first["loc"]) or "content"
-            if first["type"] == "extra_forbidden":
-                *parents, unknown = (str(part) for part in first["loc"])
-                known = _field_names(cls, parents)
-                raise UserError(f"{where}: unknown field {field!r}: {near_miss(unknown, known)}") from None
-            got = "" if first["type"] in ("missing", "value_error") else f", got {first['input']!r}"
-            raise UserError(f"{where}: field {field!r}: {first['msg']}{got}") from None
-
-
-def _field_names(model: type[BaseModel], parents: list[str]) -> list[str]:
-    """Return the names of the fields that stand under `parents` in a model; none where those are no model."""
-    for parent in parents:
-        field = model.model_fields.get(parent)
-        if field is None or not (isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel)):
-            return []
-        model = field.annotation
-    return [field.alias or name for name, field in model.model_fields.items()]
 
 
 class Arena(StrictModel):
@@ -106,42 +69,6 @@ class LargestDisplacement(StrictModel):
     forward_mm: Positive
     left_mm: Positive
     turn_rad: Positive
-
-
-class Actuators(StrictModel):
-    """What moves a robot, as far as a diagnosis must know it.
-
-    Attributes:
-        kind: `wheel`: speed follows the command, and what grips less goes less far; `thrust`: fins, propellers, jets
-            push against a drag.
-        effort: the command columns that each say how hard one actuator works; of wheels the left and the right one.
-            None where the command is a forward speed and a turn rate. Left out: as usual for the robot's kinematics.
-        steering: of thrust, the command column that is its angle in degrees, if one is.
-        track_mm: of wheels, the distance between left and right; null: learned from the recording where the command
-            names each wheel.
-    """
-
-    kind: Literal["wheel", "thrust"]
-    effort: tuple[str, ...] = ()
-    steering: str | None = None
-    track_mm: Positive | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _without_strength_exponents(cls, content: Any) -> Any:
-        """Files of earlier versions state how motion grows with an actuator's speed; it is learned now."""
-        if not isinstance(content, dict) or "strength_exponents" not in content:
-            return content
-        if content["strength_exponents"] not in ([1.0, 1.0, 1.0], (1.0, 1.0, 1.0)):
-            logger.warning(
-                "actuators: strength_exponents has no effect any more, since how motion grows with an actuator's speed "
-                "is learned from recordings: take the line out"
-            )
-        return {name: value for name, value in content.items() if name != "strength_exponents"}
-
-    def columns(self) -> tuple[str, ...]:
-        """Return the command columns that it names."""
-        return (*self.effort, *([self.steering] if self.steering else []))
 
 
 class Robot(StrictModel):

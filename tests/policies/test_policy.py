@@ -8,9 +8,9 @@ import onnxruntime
 import pytest
 import torch
 import yaml
+from safetensors.torch import save_file
 
 from swarmtwin.errors import UserError
-from swarmtwin.learning.weights import save_weights
 from swarmtwin.policies.onnx_export import check_equal, onnx_model
 from swarmtwin.policies.policy import Architecture, Policy
 from swarmtwin.policies.policy_folder import load_policy, save_policy
@@ -190,7 +190,7 @@ def test_weights_of_another_architecture_are_refused(saved):
 def test_weights_that_are_not_finite_are_refused(policy, saved):
     weights = policy.state_dict()
     weights["network.0.bias"] = torch.full((16,), torch.nan)
-    save_weights(saved, weights)
+    save_file(weights, saved / "weights.safetensors")
     assert "network.0.bias is not finite" in refusal(saved)
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from swarmtwin.geometry import displacement_between
 from swarmtwin.standin import exact_means
+from swarmtwin.standin.driven_rows import DrivenRows
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.exact_means import mean_given_situation, mean_given_state, means_given_commands
 from swarmtwin.standin.physics import Physics, advance
@@ -42,9 +43,7 @@ def repeated_measurements(driven, rows, rng):
     """Return displacements (rows, REPEATS, 3) measured when rows are repeated from their true states."""
     session = driven.session
     physics = session.physics(session.vehicles)
-    picked = exact_means.DrivenRows(
-        *(value[..., rows, :] for value in vars(exact_means.DrivenRows.of(driven, 0)).values())
-    )
+    picked = DrivenRows(*(value[..., rows, :] for value in vars(DrivenRows.of(driven, 0)).values()))
     shape = (len(rows), REPEATS)
     state, command, before = (
         np.broadcast_to(value, (len(value), *shape)) for value in (picked.state, picked.command, picked.active_command)

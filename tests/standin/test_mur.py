@@ -3,7 +3,7 @@ import pytest
 
 from swarmtwin.geometry import displacement_between
 from swarmtwin.standin.active_effects import ActiveEffects
-from swarmtwin.standin.physics import NOTHING_SPECIAL, Period, advance
+from swarmtwin.standin.physics import Period, Surroundings, advance
 from swarmtwin.standin.robots.mur import MurUnit, StandIn
 
 COUNT = 60
@@ -90,7 +90,7 @@ def test_no_vehicle_leaves_the_pool_or_goes_through_a_wall_however_hard_it_swims
 def test_what_touches_a_wall_keeps_its_speed_along_it_and_loses_it_across(drawn):
     state = drawn.at_rest(np.array([1000.0, 919.9, np.pi / 4]).reshape(3, 1, 1))
     state[3] = 50.0
-    after = drawn.step(state, drawn.target(STILL[:, :1], 1.0), 0.02, surroundings=NOTHING_SPECIAL, noise=None)
+    after = drawn.step(state, drawn.target(STILL[:, :1], 1.0), 0.02, surroundings=Surroundings(), noise=None)
     heading = after[2, 0, 0]
     along = np.cos(heading) * after[3, 0, 0] - np.sin(heading) * after[4, 0, 0]
     across = np.sin(heading) * after[3, 0, 0] + np.cos(heading) * after[4, 0, 0]

@@ -25,7 +25,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from swarmtwin import __version__
-from swarmtwin.commands import COMMANDS
+from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
 from swarmtwin.configuration import config_files, config_folder, config_folders, let_hydra_find_plugins
 from swarmtwin.errors import RefusedError, UserError, near_miss

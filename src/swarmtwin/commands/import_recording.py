@@ -17,9 +17,6 @@ from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import Counts, Transitions, from_recording
 from swarmtwin.transitions.inputs import Vehicles
 
-LONGEST_RUN_S = 86_400.0
-FEWEST_PERIODS = 2
-
 
 class Options(StrictModel):
     """Options of `swarmtwin import`; their defaults stand in conf/import.yaml."""
@@ -28,14 +25,14 @@ class Options(StrictModel):
     source: dict[str, Any]
     path: Path
     vehicles: Vehicles
-    run_s: Annotated[float, Field(le=LONGEST_RUN_S)]
+    run_s: Annotated[float, Field(le=86_400.0)]  # a day: more is a mistake in the unit
     output: Path
     format: FileFormat
     overwrite: bool
 
     @model_validator(mode="after")
     def _runs_hold_transitions(self) -> Self:
-        shortest_s = FEWEST_PERIODS * self.robot.period_s
+        shortest_s = 2 * self.robot.period_s
         if self.run_s < shortest_s:
             raise ValueError(f"run_s {self.run_s:g} is too short: give at least two periods, {shortest_s:g}")
         return self

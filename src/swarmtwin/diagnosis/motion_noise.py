@@ -10,9 +10,6 @@ from swarmtwin.diagnosis.likelihood import LikelihoodModel
 from swarmtwin.diagnosis.settings import MotionNoiseSettings
 from swarmtwin.simulation.mechanism import Mechanism
 
-AXES = (0, 2)
-"""Ahead and turning: to the side, wheels hardly move."""
-
 
 @dataclass(frozen=True)
 class MotionNoise:
@@ -92,7 +89,7 @@ def compare_motion_noise(
     usual = (reference_model.whitener.residual_scale.numpy() ** 2).mean(axis=0)
     camera = _camera_variance(reference_model)
     grew = _camera_variance(model, mechanisms) - camera > settings.large_camera_share * usual
-    camera_grew = bool(grew[list(AXES)].any())
+    camera_grew = bool(grew[[0, 2]].any())
     least = settings.least_change_of_others if model.units.count else settings.least_change
     if mechanisms or camera_grew:
         least = max(least, settings.least_change_beside)
@@ -136,7 +133,10 @@ def _motion_squares(
     member: int | None = None,
     weight: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return (R, 3): sums over each run of the motion's squares ahead and turning, and of the weights (N,)."""
+    """Return (R, 3): sums over each run of the motion's squares ahead and turning, and of the weights (N,).
+
+    To the side, wheels hardly move.
+    """
     session, clip_z = model.session, model.settings.motion_noise.clip_z
     twist = model.likeliest_twist(mechanisms, member)
     scale = model.noise.whitener(twist, session).residual_scale
@@ -144,7 +144,7 @@ def _motion_squares(
     earlier = scaled[np.maximum(session.follows, 0)]
     squares = (scaled**2 + earlier**2) / 2 + 2 * scaled * session.before(scaled)
     counted = (session.follows >= 0) * (1.0 if weight is None else weight)
-    return session.by_run(np.column_stack([squares[:, AXES].numpy() * counted[:, None], counted]))
+    return session.by_run(np.column_stack([squares[:, [0, 2]].numpy() * counted[:, None], counted]))
 
 
 def _ratios(by_run: np.ndarray, rng: np.random.Generator, draws: int) -> np.ndarray:

@@ -21,8 +21,6 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import BaseTwists, period_motion, remembered_after_two
 
-PLACES = (0, 1, 2)
-
 
 class Outcome(NamedTuple):
     """One way in which a period can go: its probability and the measured twists (N, 3) over it."""
@@ -72,16 +70,17 @@ class OneStepPredictor:
     def outcomes(self, mechanisms: Sequence[Mechanism]) -> list[Outcome]:
         """Return how each transition can go: one outcome, or where commands may be lost, three."""
         ordered = in_signal_order(mechanisms)
+        as_sent = (0, 1, 2)  # periods ago of the commands in force in this period and in the two before
         arrives = 1.0
         for mechanism in ordered:
             arrives *= mechanism.arrival_probability()
         if all(mechanism.stage != "link" or mechanism.arrival_probability() == 1 for mechanism in ordered):
-            return [Outcome(1.0, self._twist(ordered, PLACES))]
+            return [Outcome(1.0, self._twist(ordered, as_sent))]
         lost = 1.0 - arrives
         chances = (arrives, arrives * lost, lost**2)
         return [
             Outcome(chance, self._twist(ordered, roles))
-            for chance, roles in zip(chances, (PLACES, (1, 1, 1), (2, 2, 2)), strict=True)
+            for chance, roles in zip(chances, (as_sent, (1, 1, 1), (2, 2, 2)), strict=True)
         ]
 
     def most_likely_twist(self, mechanisms: Sequence[Mechanism], residual: ResidualModel | None = None) -> Tensor:

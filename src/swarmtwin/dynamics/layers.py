@@ -7,8 +7,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-LEAK = 0.01
-
 
 class PointwiseConvolution(nn.Module):
     """Conv1d(kernel 1, padding 1) → BatchNorm1d → LeakyReLU, on (channels, batch, length) → (…, length + 2).
@@ -27,7 +25,7 @@ class PointwiseConvolution(nn.Module):
         padded = F.pad(values, (1, 1))
         mixed = torch.addmm(self.convolution.bias[:, None], self.convolution.weight, padded.flatten(1))
         normalised = self.normalisation(mixed[None])[0]
-        return F.leaky_relu(normalised, LEAK).view(-1, *padded.shape[1:])
+        return F.leaky_relu(normalised).view(-1, *padded.shape[1:])
 
 
 def normalised_layers(widths: Sequence[int], activation: type[nn.Module]) -> nn.Sequential:

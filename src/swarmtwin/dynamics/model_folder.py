@@ -8,20 +8,17 @@ later session is a gap only where it did not get the same wrong on the day it wa
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
+from torch import Tensor
 
 from swarmtwin.dynamics.model_config import model_config
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.errors import UserError
-from swarmtwin.files import write_text
-from swarmtwin.learning import weights
+from swarmtwin.learning.stored_folder import StoredFolder
 from swarmtwin.robot import Robot, SituationPart, StrictModel
 from swarmtwin.transitions import Transitions, read_transitions, write_transitions
 
-DESCRIPTION = "model.yaml"
 EVIDENCE = "evidence.parquet"
-REMEDY = "train the model anew"
 
 
 class Description(StrictModel):
@@ -44,6 +41,11 @@ class Description(StrictModel):
     motion_noise: MotionNoise | None = None
 
 
+MODEL_FOLDER = StoredFolder("model.yaml", Description, holds="model", made_by="train", remedy="train the model anew")
+
+read_description = MODEL_FOLDER.read
+
+
 def save_dynamics(folder: Path, dynamics: NetworkDynamics, provenance: dict[str, Any]) -> None:
     """Write a model into an existing `folder`. Provenance is plain data, as YAML knows it."""
     description = Description(
@@ -53,18 +55,7 @@ def save_dynamics(folder: Path, dynamics: NetworkDynamics, provenance: dict[str,
         provenance=provenance,
         motion_noise=dynamics.motion_noise,
     )
-    weights.save_weights(folder, dynamics.state_dict())
-    write_text(folder / DESCRIPTION, yaml.safe_dump(description.model_dump(mode="json"), sort_keys=False))
-
-
-def read_description(folder: Path) -> Description:
-    """Read what `folder` says of its model.
-
-    Raises:
-        UserError: there is no model, or its description is damaged.
-    """
-    path = folder / DESCRIPTION
-    return Description.parse(weights.read_description(path, "model", "train", REMEDY), str(path))
+    MODEL_FOLDER.save(folder, description, dynamics.state_dict())
 
 
 def model_name(folder: Path) -> str:
@@ -82,19 +73,19 @@ def load_dynamics(folder: Path) -> NetworkDynamics:
     Raises:
         UserError: a file is missing, damaged, or does not belong to the other.
     """
-    folder = Path(folder)
     description = read_description(folder)
-    config = model_config(description.model, f"{folder / DESCRIPTION}: model")
+    file = Path(folder) / MODEL_FOLDER.description_file
+    config = model_config(description.model, f"{file}: model")
     if (inputs := config.inputs(description.robot)) != description.situation:
         raise UserError(
-            f"{folder / DESCRIPTION}: situation: {', '.join(description.situation) or 'nothing'} is not what its model "
-            f"looks at: {', '.join(inputs)}; {REMEDY}"
+            f"{file}: situation: {', '.join(description.situation) or 'nothing'} is not what its model "
+            f"looks at: {', '.join(inputs)}; {MODEL_FOLDER.remedy}"
         )
-    trained = weights.load_weights(folder, REMEDY)
-    try:
-        dynamics = NetworkDynamics.with_weights(description.robot, config, trained)
-    except RuntimeError:  # names or shapes differ
-        raise weights.not_belonging(folder, DESCRIPTION, REMEDY) from None
+
+    def build(weights: dict[str, Tensor]) -> NetworkDynamics:
+        return NetworkDynamics.with_weights(description.robot, config, weights)
+
+    dynamics = MODEL_FOLDER.load_into(folder, build)
     dynamics.motion_noise = description.motion_noise
     return dynamics
 
@@ -118,4 +109,4 @@ def load_evidence(folder: Path) -> Transitions | None:
         UserError: the file is damaged.
     """
     file = Path(folder) / EVIDENCE
-    return read_transitions(file, REMEDY) if file.is_file() else None
+    return read_transitions(file, MODEL_FOLDER.remedy) if file.is_file() else None

@@ -5,11 +5,11 @@ from typing import Any, Self
 
 from pydantic import model_validator
 
-from swarmtwin.dynamics.model_folder import DESCRIPTION, read_description
+from swarmtwin.dynamics.model_folder import MODEL_FOLDER
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import StrictModel
-from swarmtwin.transitions import GeneratorOrigin, Origin, Preparation
+from swarmtwin.transitions import GeneratorOrigin, Origin, Preparation, RecordingOrigin
 
 
 class SeedOutcome(StrictModel):
@@ -31,14 +31,10 @@ class SeedOutcome(StrictModel):
         return {name: error for name, error in named.items() if error is not None}
 
 
-class Provenance(StrictModel):
+class Provenance(RecordingOrigin):
     """What `model.yaml` says of a model's origin.
 
     Attributes:
-        recording: name of the recording's folder.
-        digest: identifies the content of the recording's runs.
-        source: where the recording comes from, in its own words.
-        vehicles: the vehicles learned from.
         runs: names of the runs in each split.
         learned: digests of the tracks it was trained on or chosen by.
         recipe: how it was trained, all values known.
@@ -48,10 +44,6 @@ class Provenance(StrictModel):
         generator: where the synthetic ones come from.
     """
 
-    recording: str
-    digest: str
-    source: str
-    vehicles: tuple[str, ...]
     runs: dict[str, tuple[str, ...]]
     learned: tuple[str, ...]
     recipe: dict[str, Any]
@@ -67,16 +59,13 @@ class Provenance(StrictModel):
         Raises:
             UserError: there is no model, or its description is damaged.
         """
-        return cls.parse(read_description(folder).provenance, f"{folder / DESCRIPTION}: provenance")
+        return cls.parse(MODEL_FOLDER.read(folder).provenance, f"{folder / MODEL_FOLDER.description_file}: provenance")
 
     @classmethod
     def of(cls, preparation: Preparation, recipe: dict[str, Any], seed: int, seeds: tuple[SeedOutcome, ...]) -> Self:
         """Describe a model trained on prepared transitions."""
-        return cls(
-            recording=preparation.recording,
-            digest=preparation.digest,
-            source=preparation.source,
-            vehicles=preparation.vehicles,
+        return cls.shared_with(
+            preparation,
             runs=preparation.runs,
             learned=preparation.learned,
             recipe=recipe,

@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
-import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from torch import Tensor
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
@@ -15,30 +14,22 @@ from swarmtwin.generators.generator import Generator, generator_config
 from swarmtwin.generators.old_diffusion import renewed_config, renewed_weights
 from swarmtwin.generators.quality import Quality
 from swarmtwin.generators.sampling import Drawn, synthetic_transitions
-from swarmtwin.learning import weights
+from swarmtwin.learning.stored_folder import StoredFolder
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, Arena, Robot, StrictModel
-from swarmtwin.transitions import Fractions, GeneratorOrigin, Preparation, Transitions
+from swarmtwin.transitions import Fractions, GeneratorOrigin, Preparation, RecordingOrigin, Transitions
 from swarmtwin.transitions.preparation import CountsByReason, counts_by_split, runs_by_split
 
 
-class Lineage(StrictModel):
+class Lineage(RecordingOrigin):
     """What a generator learned from.
 
     Attributes:
-        recording: name of the recording's folder.
-        digest: identifies the content of the recording's runs.
-        source: where the recording comes from, in its own words.
-        vehicles: the vehicles learned from.
         fractions: how the recording was split.
         transitions: real ones it was trained on, and real ones its training was followed by.
         learned: digests of the tracks it may have seen: train and validation.
         seed: of the training.
     """
 
-    recording: str
-    digest: str
-    source: str
-    vehicles: tuple[str, ...]
     fractions: Fractions
     transitions: dict[Literal["train", "validation"], int]
     learned: tuple[str, ...]
@@ -47,11 +38,8 @@ class Lineage(StrictModel):
     @classmethod
     def of(cls, preparation: Preparation, learned_from: Transitions, seed: int) -> "Lineage":
         """Describe a generator trained on those of the prepared transitions that it `learned_from`."""
-        return cls(
-            recording=preparation.recording,
-            digest=preparation.digest,
-            source=preparation.source,
-            vehicles=preparation.vehicles,
+        return cls.shared_with(
+            preparation,
             fractions=preparation.fractions,
             transitions={"train": len(learned_from.part("train")), "validation": len(learned_from.part("validation"))},
             learned=preparation.learned,
@@ -69,13 +57,10 @@ class Lineage(StrictModel):
         """Turn rows drawn from generator `name` with `seed` into transitions with lineage, split as the real ones."""
         validation = round(len(drawn.rows) * self.transitions["validation"] / self.real_transitions)
         transitions = synthetic_transitions(columns, drawn.rows, max(2, validation))
-        preparation = Preparation(
+        preparation = Preparation.shared_with(
+            self,
             robot=columns.robot.name,
-            recording=self.recording,
-            digest=self.digest,
-            source=self.source,
             arena_mm=columns.arena_mm,
-            vehicles=self.vehicles,
             fractions=self.fractions,
             seed=seed,
             counts=CountsByReason(
@@ -132,7 +117,6 @@ def _spread_row(name: str, quality: Quality) -> tuple[str, str, str, str]:
 
 DESCRIPTION = "generator.yaml"
 CARD = "README.md"
-REMEDY = "generate the folder anew"
 
 
 class Description(StrictModel):
@@ -157,6 +141,18 @@ class Description(StrictModel):
     quality: Quality
 
 
+GENERATOR_FOLDER = StoredFolder(
+    DESCRIPTION,
+    Description,
+    holds="generator",
+    made_by="generate",
+    remedy="generate the folder anew",
+    allow_unicode=True,
+)
+
+read_description = GENERATOR_FOLDER.read
+
+
 def save_generator(folder: Path, generator: Generator, lineage: Lineage, quality: Quality) -> None:
     """Write a generator into an existing `folder`."""
     columns = generator.columns
@@ -168,20 +164,8 @@ def save_generator(folder: Path, generator: Generator, lineage: Lineage, quality
         lineage=lineage,
         quality=quality,
     )
-    weights.save_weights(folder, generator.state_dict())
-    content = description.model_dump(mode="json")
-    write_text(folder / DESCRIPTION, yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
-    write_text(folder / CARD, card(content, columns, quality))
-
-
-def read_description(folder: Path) -> Description:
-    """Read what `folder` says of its generator.
-
-    Raises:
-        UserError: there is no generator, or its description is damaged.
-    """
-    path = folder / DESCRIPTION
-    return Description.parse(weights.read_description(path, "generator", "generate", REMEDY), str(path))
+    GENERATOR_FOLDER.save(folder, description, generator.state_dict())
+    write_text(folder / CARD, card(description.model_dump(mode="json"), columns, quality))
 
 
 def load_generator(folder: Path) -> tuple[Generator, Description]:
@@ -197,16 +181,15 @@ def load_generator(folder: Path) -> tuple[Generator, Description]:
     if list(columns.units.items()) != list(description.columns.items()):
         raise UserError(
             f"{folder / DESCRIPTION}: columns: {', '.join(description.columns)} are not those of its robot: "
-            f"{', '.join(columns.units)}; {REMEDY}"
+            f"{', '.join(columns.units)}; {GENERATOR_FOLDER.remedy}"
         )
     content, where = description.generator, f"{folder / DESCRIPTION}: generator"
     old = content.get("name") == "diffusion"
     config = generator_config(renewed_config(content, columns) if old else content, where)
-    trained = weights.load_weights(folder, REMEDY)
-    with torch.random.fork_rng(devices=[]):
+
+    def build(weights: dict[str, Tensor]) -> Generator:
         generator = config.build(columns)
-    try:
-        generator.load_state_dict(renewed_weights(trained, columns) if old else trained)
-    except (RuntimeError, KeyError):  # names or shapes differ
-        raise weights.not_belonging(folder, DESCRIPTION, REMEDY) from None
-    return generator.eval(), description
+        generator.load_state_dict(renewed_weights(weights, columns) if old else weights)
+        return generator.eval()
+
+    return GENERATOR_FOLDER.load_into(folder, build), description

@@ -6,18 +6,83 @@ usually go with them. Fitting them is the business of `dynamics/models/kinematic
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
+from pydantic import model_validator
 
 from swarmtwin.plugins import plugin_path
+from swarmtwin.strict_model import Positive, StrictModel
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from swarmtwin.robot import Actuators, Robot
-
 __path__ = plugin_path(__name__, __path__)
+
+logger = logging.getLogger(__name__)
+
+
+class Actuators(StrictModel):
+    """What moves a robot, as far as a diagnosis must know it.
+
+    Attributes:
+        kind: `wheel`: speed follows the command, and what grips less goes less far; `thrust`: fins, propellers, jets
+            push against a drag.
+        effort: the command columns that each say how hard one actuator works; of wheels the left and the right one.
+            None where the command is a forward speed and a turn rate. Left out: as usual for the robot's kinematics.
+        steering: of thrust, the command column that is its angle in degrees, if one is.
+        track_mm: of wheels, the distance between left and right; null: learned from the recording where the command
+            names each wheel.
+    """
+
+    kind: Literal["wheel", "thrust"]
+    effort: tuple[str, ...] = ()
+    steering: str | None = None
+    track_mm: Positive | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_strength_exponents(cls, content: Any) -> Any:
+        """Files of earlier versions state how motion grows with an actuator's speed; it is learned now."""
+        if not isinstance(content, dict) or "strength_exponents" not in content:
+            return content
+        if content["strength_exponents"] not in ([1.0, 1.0, 1.0], (1.0, 1.0, 1.0)):
+            logger.warning(
+                "actuators: strength_exponents has no effect any more, since how motion grows with an actuator's speed "
+                "is learned from recordings: take the line out"
+            )
+        return {name: value for name, value in content.items() if name != "strength_exponents"}
+
+    def columns(self) -> tuple[str, ...]:
+        """Return the command columns that it names."""
+        return (*self.effort, *([self.steering] if self.steering else []))
+
+
+class DrivenRobot(Protocol):
+    """What kinematics look at of a robot, whose file names them: see `swarmtwin.robot.Robot`."""
+
+    @property
+    def period_s(self) -> float:
+        """Control period."""
+
+    @property
+    def vehicle_size_mm(self) -> tuple[float, float]:
+        """Footprint: length, width."""
+
+    @property
+    def command_columns(self) -> tuple[str, ...]:
+        """Names of the command's m columns, in order."""
+
+    @property
+    def command_high(self) -> np.ndarray:
+        """Upper command limits, (m,)."""
+
+    @property
+    def displacement_limit(self) -> np.ndarray:
+        """Largest believable absolute displacement over one period, (3,): mm, mm, rad."""
 
 
 class PhysicalParameter(NamedTuple):
@@ -43,15 +108,17 @@ class KinematicEquations(ABC):
 
     @classmethod
     @abstractmethod
-    def usual_actuators(cls, robot: Robot) -> Actuators:
+    def usual_actuators(cls, robot: DrivenRobot) -> Actuators:
         """Return the actuators of a robot whose file states none."""
 
     @abstractmethod
-    def parameters(self, robot: Robot) -> Mapping[str, PhysicalParameter]:
+    def parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return the parameters by name, with the unit in the name, sized for a robot."""
 
     @abstractmethod
-    def velocities(self, command: Tensor, values: Mapping[str, Tensor], robot: Robot) -> tuple[Tensor, Tensor, Tensor]:
+    def velocities(
+        self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Return the velocities that a command brings about.
 
         Args:

@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from swarmtwin.kinematics import KinematicEquations, PhysicalParameter
-from swarmtwin.robot import Actuators, Robot
+from swarmtwin.kinematics import Actuators, DrivenRobot, KinematicEquations, PhysicalParameter
 
 WHEELS = ("left", "right")
 
@@ -17,14 +16,14 @@ class Equations(KinematicEquations):
     command_size = 2
 
     @classmethod
-    def usual_actuators(cls, robot: Robot) -> Actuators:
+    def usual_actuators(cls, robot: DrivenRobot) -> Actuators:
         """Return two wheels, each driven by its column of the command."""
         return Actuators(kind="wheel", effort=robot.command_columns)
 
-    def parameters(self, robot: Robot) -> Mapping[str, PhysicalParameter]:
+    def parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return the wheels' distance, and each wheel's gain, dead band and curvature."""
         limit = self._limit(robot)
-        gain = PhysicalParameter(robot.largest_displacement.forward_mm / robot.period_s / limit)
+        gain = PhysicalParameter(float(robot.displacement_limit[0]) / robot.period_s / limit)
         parameters = {"track_mm": PhysicalParameter(robot.vehicle_size_mm[1])}
         for wheel in WHEELS:
             parameters[f"{wheel}_gain_mm_s_per_unit"] = gain
@@ -32,7 +31,9 @@ class Equations(KinematicEquations):
             parameters[f"{wheel}_curvature"] = PhysicalParameter(0.5, signed=True)
         return parameters
 
-    def velocities(self, command: Tensor, values: Mapping[str, Tensor], robot: Robot) -> tuple[Tensor, Tensor, Tensor]:
+    def velocities(
+        self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Turn wheel speeds into forward speed and turn rate."""
         limit = self._limit(robot)
         left, right = (self._wheel_mm_s(wheel, command[:, i], values, limit) for i, wheel in enumerate(WHEELS))
@@ -43,5 +44,5 @@ class Equations(KinematicEquations):
         bend = 1 + values[f"{wheel}_curvature"] * effort / limit
         return values[f"{wheel}_gain_mm_s_per_unit"] * command.sign() * effort * bend
 
-    def _limit(self, robot: Robot) -> float:
+    def _limit(self, robot: DrivenRobot) -> float:
         return float(robot.command_high.max())

@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from swarmtwin.kinematics import KinematicEquations, PhysicalParameter
-from swarmtwin.robot import Actuators, Robot
+from swarmtwin.kinematics import Actuators, DrivenRobot, KinematicEquations, PhysicalParameter
 
 
 class Equations(KinematicEquations):
@@ -19,26 +18,28 @@ class Equations(KinematicEquations):
     command_size = 3
 
     @classmethod
-    def usual_actuators(cls, robot: Robot) -> Actuators:
+    def usual_actuators(cls, robot: DrivenRobot) -> Actuators:
         """Return the fin: the second column, an amplitude, says how hard it works, the first one where it points."""
         return Actuators(kind="thrust", effort=robot.command_columns[1:2], steering=robot.command_columns[0])
 
-    def parameters(self, robot: Robot) -> Mapping[str, PhysicalParameter]:
+    def parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return size and exponent of each velocity, and how the fin's angle acts."""
-        largest = robot.largest_displacement
+        forward_mm, left_mm, turn_rad = robot.displacement_limit.tolist()
         return {
-            "push_mm_s": PhysicalParameter(0.5 * largest.forward_mm / robot.period_s),
+            "push_mm_s": PhysicalParameter(0.5 * forward_mm / robot.period_s),
             "push_exponent": PhysicalParameter(1.5),
-            "coasting_mm_s": PhysicalParameter(0.1 * largest.forward_mm / robot.period_s),
-            "side_mm_s": PhysicalParameter(0.3 * largest.left_mm / robot.period_s, signed=True),
-            "turn_rad_s": PhysicalParameter(0.3 * largest.turn_rad / robot.period_s, signed=True),
+            "coasting_mm_s": PhysicalParameter(0.1 * forward_mm / robot.period_s),
+            "side_mm_s": PhysicalParameter(0.3 * left_mm / robot.period_s, signed=True),
+            "turn_rad_s": PhysicalParameter(0.3 * turn_rad / robot.period_s, signed=True),
             "turn_exponent": PhysicalParameter(1),
             "side_exponent": PhysicalParameter(1),
             "angle_gain": PhysicalParameter(1),
             "trim_deg": PhysicalParameter(5, signed=True),
         }
 
-    def velocities(self, command: Tensor, values: Mapping[str, Tensor], robot: Robot) -> tuple[Tensor, Tensor, Tensor]:
+    def velocities(
+        self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Split the push by the angle at which it acts: trimmed, and larger than the fin's where the body gives way."""
         angle_rad = values["angle_gain"] * torch.deg2rad(command[:, 0] + values["trim_deg"])
         strongest_beat = float(robot.command_high[1] * robot.command_high[2])

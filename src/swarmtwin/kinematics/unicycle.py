@@ -5,8 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from swarmtwin.kinematics import KinematicEquations, PhysicalParameter
-from swarmtwin.robot import Actuators, Robot
+from swarmtwin.kinematics import Actuators, DrivenRobot, KinematicEquations, PhysicalParameter
 
 
 class Equations(KinematicEquations):
@@ -15,11 +14,11 @@ class Equations(KinematicEquations):
     command_size = 2
 
     @classmethod
-    def usual_actuators(cls, robot: Robot) -> Actuators:
+    def usual_actuators(cls, robot: DrivenRobot) -> Actuators:
         """Return two wheels, as far apart as the vehicle is wide, that no column of the command names."""
         return Actuators(kind="wheel", track_mm=robot.vehicle_size_mm[1])
 
-    def parameters(self, robot: Robot) -> Mapping[str, PhysicalParameter]:
+    def parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return both gains and the veer."""
         return {
             "speed_gain": PhysicalParameter(1),
@@ -27,7 +26,9 @@ class Equations(KinematicEquations):
             "veer_rad_per_mm": PhysicalParameter(1e-3, signed=True),
         }
 
-    def velocities(self, command: Tensor, values: Mapping[str, Tensor], robot: Robot) -> tuple[Tensor, Tensor, Tensor]:
+    def velocities(
+        self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Scale the command."""
         forward_mm_s = values["speed_gain"] * command[:, 0]
         turn_rad_s = values["turn_gain"] * command[:, 1] + values["veer_rad_per_mm"] * forward_mm_s

@@ -109,10 +109,6 @@ def trials_done(study: optuna.Study) -> int:
     return len(study.get_trials(deepcopy=False, states=DONE))
 
 
-# An option may refuse the bound itself, as a rate must be above 0: it is never drawn. What lies so far inside counts.
-INSIDE = 1e-9
-
-
 class Range(StrictModel):
     """Where to search one option: between two numbers, or among choices."""
 
@@ -155,7 +151,9 @@ class Range(StrictModel):
         assert self.low is not None
         assert self.high is not None
         if _accepts(check, _between_whole_numbers(self.low, self.high)):
-            for share in (INSIDE, 1 - INSIDE):
+            # An option may refuse the bound itself, as a rate must be above 0: it is never drawn. What lies so far
+            # inside counts.
+            for share in (1e-9, 1 - 1e-9):
                 check(self.low + share * (self.high - self.low))
             return False
         if not (self.low.is_integer() and self.high.is_integer()):

@@ -52,6 +52,8 @@ def algorithm_state(algorithm: BaseAlgorithm) -> Content:
     """Return what an algorithm continues from: networks and optimisers, counters, replay buffer, random numbers.
 
     Networks and optimisers are saved by stable-baselines3 itself; all else that it would save, it would pickle.
+    Counters are all of its plain numbers, private ones too: TD3 delays its actor by `_n_updates`, which has no public
+    name, and an algorithm of one's own may count more.
     """
     networks = io.BytesIO()
     algorithm.save(networks, exclude=list(vars(algorithm)))

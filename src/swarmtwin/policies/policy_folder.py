@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any, Literal
 
-import yaml
+from torch import Tensor
 
 from swarmtwin.errors import UserError
-from swarmtwin.files import write_text
-from swarmtwin.learning.weights import load_weights, not_belonging, read_description, save_weights
+from swarmtwin.learning.stored_folder import StoredFolder
 from swarmtwin.policies.onnx_export import ONNX, write_onnx
 from swarmtwin.policies.policy import Architecture, Policy
 from swarmtwin.policies.rollout_comparison import Evaluation
@@ -77,7 +76,6 @@ class PolicyProvenance(StrictModel):
 
 
 DESCRIPTION = "policy.yaml"
-REMEDY = "learn the policy anew"
 
 
 class Description(StrictModel):
@@ -102,6 +100,9 @@ class Description(StrictModel):
     command: dict[str, CommandColumn]
     arena_mm: Arena | None = None
     provenance: PolicyProvenance
+
+
+POLICY_FOLDER = StoredFolder(DESCRIPTION, Description, holds="policy", made_by="learn", remedy="learn the policy anew")
 
 
 class StoredPolicy:
@@ -147,8 +148,7 @@ def save_policy(folder: Path, policy: Policy, task: TaskConfig, arena: Arena, pr
         provenance=provenance,
     )
     write_onnx(folder / ONNX, policy)
-    save_weights(folder, policy.state_dict())
-    write_text(folder / DESCRIPTION, yaml.safe_dump(description.model_dump(mode="json"), sort_keys=False))
+    POLICY_FOLDER.save(folder, description, policy.state_dict())
 
 
 def load_policy(folder: Path, robot: Robot | None = None) -> StoredPolicy:
@@ -159,7 +159,7 @@ def load_policy(folder: Path, robot: Robot | None = None) -> StoredPolicy:
     """
     folder = Path(folder)
     path = folder / DESCRIPTION
-    description = Description.parse(read_description(path, "policy", "learn", REMEDY), str(path))
+    description = POLICY_FOLDER.read(folder)
     if robot is not None:
         _check_robot(folder, description.robot, robot)
     task = task_config(description.task, f"{path}: task")
@@ -168,18 +168,19 @@ def load_policy(folder: Path, robot: Robot | None = None) -> StoredPolicy:
     if observed != description.observation:
         raise UserError(
             f"{path}: the policy looks at {len(description.observation)} numbers that are not the {len(observed)} that "
-            f"its task {task.name!r} shows: {REMEDY}"
+            f"its task {task.name!r} shows: {POLICY_FOLDER.remedy}"
         )
-    weights = load_weights(folder, REMEDY)
-    try:
-        policy = Policy.with_weights(description.robot, description.observation, description.architecture, weights)
-    except RuntimeError:  # names or shapes differ
-        raise not_belonging(folder, DESCRIPTION, REMEDY) from None
-    return StoredPolicy(folder, policy, task, arena, description.provenance)
+
+    def build(weights: dict[str, Tensor]) -> Policy:
+        return Policy.with_weights(description.robot, description.observation, description.architecture, weights)
+
+    return StoredPolicy(folder, POLICY_FOLDER.load_into(folder, build), task, arena, description.provenance)
 
 
 def _check_robot(folder: Path, found: Robot, wanted: Robot) -> None:
     if found.name != wanted.name:
         raise UserError(f"{folder} is a policy of robot {found.name!r}: add robot={found.name}")
     if (found.command, found.period_s) != (wanted.command, wanted.period_s):
-        raise UserError(f"{folder} was learned for other commands or another period than conf/robot states: {REMEDY}")
+        raise UserError(
+            f"{folder} was learned for other commands or another period than conf/robot states: {POLICY_FOLDER.remedy}"
+        )

@@ -59,9 +59,6 @@ def known_robots() -> tuple[Robot, ...]:
     return tuple(Robot.load(file) for _, file in sorted(config_files("robot").items()))
 
 
-LARGEST_BLOCK_BYTES = 1 << 24
-EMPTY_CELLS = ["", "nan", "NaN", "NAN"]
-
 _BAD_CELL = re.compile(r"In CSV column #(\d+): Row #(\d+): .*invalid value '(.*)'", re.DOTALL)
 _BAD_LENGTH = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+)")
 
@@ -145,9 +142,10 @@ def _csv_header(file: Path, content: bytes, complete: bytes) -> list[str]:
 def _read_csv(file: Path, complete: bytes, found: list[str], robot: Robot) -> pa.Table:
     columns = run_columns(robot)
     types = {name: pa.string() if name == "vehicle" else pa.float64() for name in columns}
-    convert = pa.csv.ConvertOptions(column_types=types, include_columns=columns, null_values=EMPTY_CELLS)
+    empty = ["", "nan", "NaN", "NAN"]
+    convert = pa.csv.ConvertOptions(column_types=types, include_columns=columns, null_values=empty)
     # One thread, so that pyarrow knows the rows' numbers; streamed, which spares small files a change of thread.
-    options = pa.csv.ReadOptions(use_threads=False, block_size=min(len(complete) + 1, LARGEST_BLOCK_BYTES))
+    options = pa.csv.ReadOptions(use_threads=False, block_size=min(len(complete) + 1, 16 * 2**20))
     try:
         return pa.csv.open_csv(pa.py_buffer(complete), read_options=options, convert_options=convert).read_all()
     except pa.ArrowInvalid as error:

@@ -17,9 +17,6 @@ ROW_REASONS = {
     "impossible_value": "a pose or command with an infinite number, or a heading of over 1000 turns, counts as missing",
 }
 
-# A heading may be recorded unwrapped; beyond a thousand turns it is damage, and wrapping would make it look right.
-LARGEST_HEADING_RAD = 2000 * np.pi
-
 
 def tracks_of(table: RunTable, run: str, vehicles: Sequence[str] | None) -> tuple[list[Track], Counter[str]]:
     """Split a run's rows into tracks, in order of the vehicles' ids, and count the rows set aside, by reason.
@@ -39,7 +36,8 @@ def tracks_of(table: RunTable, run: str, vehicles: Sequence[str] | None) -> tupl
     _check_vehicles(table, vehicles)
     tracks, dropped = [], Counter({"truncated_row": int(table.truncated)})
     command, impossible_command = _voided(table.command, np.inf)
-    pose, impossible_pose = _voided(table.pose, np.array([np.inf, np.inf, LARGEST_HEADING_RAD]))
+    # A heading may be recorded unwrapped; beyond a thousand turns it is damage, and wrapping would make it look right.
+    pose, impossible_pose = _voided(table.pose, np.array([np.inf, np.inf, 1000 * 2 * np.pi]))
     pose[:, 2] = wrap_angle(pose[:, 2])
     dropped["impossible_value"] += int((impossible_command | impossible_pose).sum())
     for code in np.argsort(table.vehicles):

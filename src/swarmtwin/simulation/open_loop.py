@@ -12,7 +12,7 @@ from swarmtwin.recordings.recording import Track
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.state import State
 from swarmtwin.transitions.neighbours import Moments, others_of
-from swarmtwin.transitions.rows import TIME_TOLERANCE_S
+from swarmtwin.transitions.rows import at_most
 
 
 class OpenLoop(NamedTuple):
@@ -166,7 +166,7 @@ def _predictable_rows(track: Track, longest_gap_s: float) -> range:
     if not known.any():
         return range(0)
     start = int(known.argmax())
-    passable = np.isfinite(track.command[:-1]).all(axis=1) & (np.diff(track.time_s) <= longest_gap_s + TIME_TOLERANCE_S)
+    passable = np.isfinite(track.command[:-1]).all(axis=1) & at_most(np.diff(track.time_s), longest_gap_s)
     obstacles = np.flatnonzero(~passable[start:])
     return range(start, start + int(obstacles[0]) if len(obstacles) else len(track) - 1)
 

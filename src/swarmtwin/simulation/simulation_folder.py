@@ -3,16 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-import torch
-import yaml
+from torch import Tensor
 
-from swarmtwin.dynamics import model_folder
 from swarmtwin.dynamics.model_config import model_config
+from swarmtwin.dynamics.model_folder import MODEL_FOLDER, Description, load_dynamics
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import DynamicsModule, NetworkDynamics
 from swarmtwin.errors import UserError
-from swarmtwin.files import write_text
-from swarmtwin.learning import weights
 from swarmtwin.learning.ensemble import Ensemble
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.conditions import SessionConditions
@@ -59,7 +56,7 @@ def save_extended(folder: Path, simulation: Simulation, provenance: dict[str, An
         learned_residual=residual.description() if residual else None,
         motion_noise=simulation.motion_noise,
     )
-    description = model_folder.Description(
+    description = Description(
         model=config.model_dump(mode="json", exclude_none=True),
         robot=simulation.robot,
         situation=simulation.inputs,
@@ -68,9 +65,7 @@ def save_extended(folder: Path, simulation: Simulation, provenance: dict[str, An
     named = {f"base.{name}": tensor for name, tensor in simulation.dynamics.state_dict().items()}
     if residual:
         named |= {f"residual.{name}": tensor for name, tensor in residual.state_dict().items()}
-    weights.save_weights(folder, named)
-    content = description.model_dump(mode="json")
-    write_text(folder / model_folder.DESCRIPTION, yaml.safe_dump(content, sort_keys=False))
+    MODEL_FOLDER.save(folder, description, named)
 
 
 def load_simulation(folder: Path) -> Simulation:
@@ -79,32 +74,30 @@ def load_simulation(folder: Path) -> Simulation:
     Raises:
         UserError: a file is missing, damaged, or does not belong to the other.
     """
-    folder = Path(folder)
-    description = model_folder.read_description(folder)
+    description = MODEL_FOLDER.read(folder)
     if description.model.get("name") != "extended":
-        return Simulation(model_folder.load_dynamics(folder)).eval()
-    where = f"{folder / model_folder.DESCRIPTION}: model"
+        return Simulation(load_dynamics(folder)).eval()
+    where = f"{Path(folder) / MODEL_FOLDER.description_file}: model"
     config = ExtendedConfig.parse(description.model, where)
-    trained = weights.load_weights(folder, model_folder.REMEDY)
-    try:
-        with torch.random.fork_rng(devices=[]):
-            simulation = _extended(description.robot, config, where)
-        base, residual = _parts(trained)
+
+    def build(weights: dict[str, Tensor]) -> Simulation:
+        simulation = _extended(description.robot, config, where)
+        base, residual = _parts(weights)
         assert isinstance(simulation.dynamics, DynamicsModule)
         simulation.dynamics.load_state_dict(base)
         if simulation.residual:
             simulation.residual.load_state_dict(residual)
         elif residual:
             raise KeyError("weights of a residual that is not described")
-    except (RuntimeError, KeyError, TypeError, ValueError):
-        raise weights.not_belonging(folder, model_folder.DESCRIPTION, model_folder.REMEDY) from None
-    return simulation.eval()
+        return simulation.eval()
+
+    return MODEL_FOLDER.load_into(folder, build)
 
 
-def _parts(trained: dict[str, torch.Tensor]) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+def _parts(weights: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Return the weights of the base and of the residual; earlier versions also kept a scaling that nobody reads."""
     base, residual = (
-        {name.removeprefix(prefix): tensor for name, tensor in trained.items() if name.startswith(prefix)}
+        {name.removeprefix(prefix): tensor for name, tensor in weights.items() if name.startswith(prefix)}
         for prefix in ("base.", "residual.")
     )
     return base, residual
@@ -128,7 +121,7 @@ def _base(robot: Robot, description: dict[str, Any], where: str) -> BaseDynamics
         reaches_mm = description.get("wall_reaches_mm", [0.4 * max(robot.vehicle_size_mm)])
         return EnsembleDynamics(robot, tuple(description["situation"]), reaches_mm, conditions, ensemble)
     if description.get("kind") != "simulation":
-        raise UserError(f"{where}: base.kind {description.get('kind')!r} is not known: {model_folder.REMEDY}")
+        raise UserError(f"{where}: base.kind {description.get('kind')!r} is not known: {MODEL_FOLDER.remedy}")
     dynamics = NetworkDynamics(robot, model_config(description["model"], f"{where}: base"))
     correction = description.get("correction")
     learned = _base(robot, correction, where) if correction else None

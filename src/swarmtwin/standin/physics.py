@@ -13,24 +13,31 @@ from swarmtwin.standin import robots
 from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.effect import Placement
 
-POSE = slice(0, 3)
-
 
 class Surroundings(NamedTuple):
     """What ground, water and neighbours do to the vehicles in one time step; each broadcasts to (...)."""
 
-    traction: Any
-    carried_x_mm_s: Any
-    carried_y_mm_s: Any
+    traction: Any = 1.0
+    carried_x_mm_s: Any = 0.0
+    carried_y_mm_s: Any = 0.0
 
 
-NOTHING_SPECIAL = Surroundings(1.0, 0.0, 0.0)
+class Unit(ABC):
+    """What differs from one unit of a robot to the next, by fabrication: arrays that broadcast to V vehicles."""
+
+    @classmethod
+    @abstractmethod
+    def of(cls, vehicles: Sequence[str], dtype: Any = np.float64) -> Self:
+        """Return the units with these V ids; the same id always gives the same unit."""
 
 
 class Physics(ABC):
     """A robot's motion. A state is (states, ...), its first three the true pose: x_mm, y_mm, heading_rad (not wrapped).
 
     Attributes:
+        unit: the vehicles' own properties.
+        conditions: the effects that are switched on.
+        unit_class: what its units are.
         command_columns: of the commands that it takes, in order.
         states: names of the states.
         substeps: time steps in a control period.
@@ -44,6 +51,8 @@ class Physics(ABC):
         bank_rows: hidden states, at least, to draw from for an expectation.
     """
 
+    unit: Unit
+    unit_class: ClassVar[type[Unit]]
     command_columns: ClassVar[tuple[str, ...]]
     states: ClassVar[tuple[str, ...]]
     substeps: ClassVar[int]
@@ -56,18 +65,19 @@ class Physics(ABC):
     noise_draws: ClassVar[int] = 32
     bank_rows: ClassVar[int] = 131_072
 
-    def __init__(self, conditions: ActiveEffects) -> None:
+    def __init__(self, unit: Unit, conditions: ActiveEffects) -> None:
+        self.unit = unit
         self.conditions = conditions
 
     @classmethod
-    @abstractmethod
     def of(cls, vehicles: Sequence[str], conditions: ActiveEffects, dtype: type = np.float64) -> Self:
         """Return the physics of the units with these ids, under conditions; properties are of a floating `dtype`."""
+        return cls(cls.unit_class.of(vehicles, dtype), conditions)
 
     def at_rest(self, pose: np.ndarray) -> np.ndarray:
         """Return the states (states, ...) of vehicles standing at poses (3, ...)."""
         state = np.zeros((len(self.states), *pose.shape[1:]), pose.dtype)
-        state[POSE] = pose
+        state[:3] = pose
         return state
 
     @abstractmethod
@@ -139,7 +149,7 @@ def advance(physics: Physics, state: np.ndarray, period: Period, noise: np.ndarr
     target = new_target = physics.target(conditions.transform_command(period.command), strength)
     if conditions.delay_s:
         old_target = physics.target(conditions.transform_command(period.previous_command), strength)
-    surroundings = NOTHING_SPECIAL
+    surroundings = Surroundings()
     for index in range(physics.substeps):
         if conditions.delay_s:
             late_share = np.clip(conditions.delay_s / dt_s - index, 0.0, 1.0)
@@ -157,16 +167,16 @@ def take_up(slack: np.ndarray, travel: np.ndarray, width: float) -> tuple[np.nda
     return taken, travel - (taken - slack)
 
 
-LARGEST_DEVIATION = 2.0
-
-
-def fabricate(robot: str, vehicles: Sequence[str], spreads: Mapping[str, float]) -> dict[str, np.ndarray]:
+def fabricate(
+    robot: str, vehicles: Sequence[str], spreads: Mapping[str, float], largest_deviation: float = 2.0
+) -> dict[str, np.ndarray]:
     """Draw each property's relative factor for each vehicle.
 
     Args:
         robot: name of the robot.
         vehicles: V ids.
-        spreads: relative standard deviation of each property; deviations end at two of them.
+        spreads: relative standard deviation of each property.
+        largest_deviation: in standard deviations; what lies beyond is not delivered.
 
     Returns:
         for each property its factors (V,), 1 where the unit is as drawn.
@@ -174,7 +184,7 @@ def fabricate(robot: str, vehicles: Sequence[str], spreads: Mapping[str, float])
     factors = np.ones((len(spreads), len(vehicles)))
     for index, vehicle in enumerate(vehicles):
         rng = np.random.default_rng(zlib.crc32(f"{robot}/{vehicle}".encode()))
-        deviation = np.clip(rng.standard_normal(len(spreads)), -LARGEST_DEVIATION, LARGEST_DEVIATION)
+        deviation = np.clip(rng.standard_normal(len(spreads)), -largest_deviation, largest_deviation)
         factors[:, index] += deviation * np.fromiter(spreads.values(), float)
     return dict(zip(spreads, factors, strict=True))
 

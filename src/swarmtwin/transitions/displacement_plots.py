@@ -7,18 +7,15 @@ from matplotlib.figure import Figure
 from swarmtwin.plotting import FLOOR, MEASURED, style
 from swarmtwin.transitions.transitions import Transitions
 
-MOST_DOTS = 4000
-MOST_RUNS = 40
 
-
-def coverage_figure(transitions: Transitions) -> Figure:
+def coverage_figure(transitions: Transitions, most_dots: int = 4000, most_runs: int = 40) -> Figure:
     """Draw some runs in the arena, the first two numbers of the commands, and the displacements that followed."""
-    chosen = np.linspace(0, len(transitions) - 1, min(MOST_DOTS, len(transitions))).astype(int)
+    chosen = np.linspace(0, len(transitions) - 1, min(most_dots, len(transitions))).astype(int)
     columns = list(transitions.robot.command.items())
     with style():
         figure = Figure(figsize=(10, 3.2), layout="constrained")
         runs, commands, displacements = figure.subplots(1, 3)
-        _draw_runs(runs, transitions)
+        _draw_runs(runs, transitions, most_runs)
         command = transitions.command[chosen]
         second = command[:, 1] if len(columns) > 1 else np.zeros(len(chosen))
         commands.plot(command[:, 0], second, ".", color=FLOOR, markersize=2, alpha=0.5)
@@ -31,10 +28,10 @@ def coverage_figure(transitions: Transitions) -> Figure:
     return figure
 
 
-def _draw_runs(panel: Axes, transitions: Transitions) -> None:
-    for run in np.unique(transitions.run)[:MOST_RUNS]:
+def _draw_runs(panel: Axes, transitions: Transitions, most: int) -> None:
+    for run in np.unique(transitions.run)[:most]:
         for vehicle in np.unique(transitions.vehicle[transitions.run == run]):
             pose = transitions.pose[(transitions.run == run) & (transitions.vehicle == vehicle)]
             panel.plot(pose[:, 0], pose[:, 1], color=MEASURED, linewidth=0.6, alpha=0.6)
-    panel.set(title=f"the first {min(MOST_RUNS, len(transitions.runs))} runs", xlabel="x, mm", ylabel="y, mm")
+    panel.set(title=f"the first {min(most, len(transitions.runs))} runs", xlabel="x, mm", ylabel="y, mm")
     panel.set_aspect("equal")

@@ -11,7 +11,7 @@ from swarmtwin.geometry import displacement_between
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.transitions.neighbours import neighbours_at, others_of
-from swarmtwin.transitions.rows import TIME_TOLERANCE_S, Rows
+from swarmtwin.transitions.rows import Rows, at_most
 from swarmtwin.transitions.teleports import doubtful_rows, teleports
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
@@ -155,11 +155,11 @@ def _out_of_limits(command: np.ndarray, robot: Robot) -> np.ndarray:
 
 
 def _gap(duration_s: np.ndarray, robot: Robot) -> np.ndarray:
-    return duration_s > robot.longest_gap_s + TIME_TOLERANCE_S
+    return ~at_most(duration_s, robot.longest_gap_s)
 
 
 def _short(duration_s: np.ndarray, robot: Robot) -> np.ndarray:
-    return duration_s < robot.period_s / 2 - TIME_TOLERANCE_S
+    return ~at_most(robot.period_s / 2, duration_s)
 
 
 def _outside(pose: np.ndarray, recording: Recording) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmtwin.geometry import displacement_between, wrap_angle
 from swarmtwin.robot import Robot
-from swarmtwin.transitions.rows import TIME_TOLERANCE_S
+from swarmtwin.transitions.rows import at_most
 
 
 def relative_poses(pose: np.ndarray) -> np.ndarray:
@@ -85,14 +85,14 @@ class Moments:
         start, end = pose[self.before], pose[self.after]
         since_s = np.where(np.isnan(start).any(axis=-1), np.inf, self.since_s)
         until_s = np.where(np.isnan(end).any(axis=-1), np.inf, self.until_s)
-        between = since_s + until_s <= robot.longest_gap_s + TIME_TOLERANCE_S
+        between = at_most(since_s + until_s, robot.longest_gap_s)
         share = np.divide(since_s, since_s + until_s, out=np.zeros_like(since_s), where=between)
         way = end - start
         way[..., 2] = wrap_angle(way[..., 2])
         line = start + share[..., None] * way
         line[..., 2] = wrap_angle(line[..., 2])
         nearest = np.where((until_s < since_s)[..., None], end, start)
-        near = np.minimum(since_s, until_s) <= robot.period_s / 2 + TIME_TOLERANCE_S
+        near = at_most(np.minimum(since_s, until_s), robot.period_s / 2)
         return np.where(between[..., None], line, np.where(near[..., None], nearest, np.nan))
 
 

@@ -3,7 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -50,7 +50,28 @@ class GeneratorOrigin(StrictModel):
     real_transitions: int
 
 
-class Preparation(StrictModel):
+class RecordingOrigin(StrictModel):
+    """Which recording something was made from: transitions, or what was learned from them.
+
+    Attributes:
+        recording: name of the recording's folder, without the path to it.
+        digest: identifies the content of the recording's runs.
+        source: where the recording comes from, in its own words.
+        vehicles: ids of the vehicles that were taken from it.
+    """
+
+    recording: str
+    digest: str
+    source: str
+    vehicles: tuple[str, ...]
+
+    @classmethod
+    def shared_with(cls, other: "RecordingOrigin", **own: Any) -> Self:
+        """Describe what was made from the same recording as `other`; `own` are the fields that only its kind has."""
+        return cls(recording=other.recording, digest=other.digest, source=other.source, vehicles=other.vehicles, **own)
+
+
+class Preparation(RecordingOrigin):
     """The content of `preparation.json`: where transitions come from and what became of the recording's rows.
 
     Of synthetic transitions, `recording`, `digest`, `source`, `vehicles` and `learned` are those of the real ones that
@@ -58,11 +79,7 @@ class Preparation(StrictModel):
 
     Attributes:
         robot: name of the robot.
-        recording: name of the recording's folder, without the path to it.
-        digest: identifies the content of the recording's runs.
-        source: where the recording comes from, in its own words.
         arena_mm: where its vehicles could move; null in a folder of an old version.
-        vehicles: ids of the vehicles.
         fractions: the shares asked for.
         seed: of the split.
         counts: what was kept and dropped, by reason.
@@ -74,10 +91,6 @@ class Preparation(StrictModel):
     """
 
     robot: str
-    recording: str
-    digest: str
-    source: str
-    vehicles: tuple[str, ...]
     fractions: Fractions
     seed: int
     counts: CountsByReason

@@ -7,9 +7,6 @@ import numpy as np
 
 from swarmtwin.recordings.recording import Recording
 
-# Times are written to 1 ms, so limits are compared with less than that to spare.
-TIME_TOLERANCE_S = 1e-6
-
 
 @dataclass(frozen=True)
 class Rows:
@@ -53,3 +50,15 @@ class Rows:
     def starts(self) -> np.ndarray:
         """Return (P,) the rows that a row of the same track follows."""
         return np.flatnonzero(self.track[1:] == self.track[:-1])
+
+
+def at_most(duration_s: np.ndarray | float, limit_s: np.ndarray | float, rounding_s: float = 1e-6) -> np.ndarray:
+    """Return whether durations reach no further than a limit.
+
+    Args:
+        duration_s: any shape.
+        limit_s: broadcasting to it.
+        rounding_s: by how much a sum or difference of times may be off; times themselves are written to 1 ms.
+    """
+    within: np.ndarray = np.less_equal(duration_s, limit_s + rounding_s)
+    return within

@@ -6,7 +6,7 @@ every teleport into segments, the first segment is trusted, and a later one only
 the last trusted pose at a believable speed. A swap that is never undone costs both vehicles the rest of the run.
 
 A vehicle alone in its run can have swapped with nobody: if it jumps away and is not back within
-`LONGEST_MISREAD_PERIODS`, somebody has moved it by hand, and the track is trusted again from there.
+ten periods, somebody has moved it by hand, and the track is trusted again from there.
 """
 
 import numpy as np
@@ -15,16 +15,13 @@ from swarmtwin.geometry import displacement_between, wrap_angle
 from swarmtwin.robot import Robot
 from swarmtwin.transitions.rows import Rows
 
-TELEPORT_FACTOR = 3.0
-LONGEST_MISREAD_PERIODS = 10
 
-
-def teleports(displacement: np.ndarray, periods: np.ndarray, robot: Robot) -> np.ndarray:
+def teleports(displacement: np.ndarray, periods: np.ndarray, robot: Robot, factor: float = 3.0) -> np.ndarray:
     """Return (P,) whether displacements (P, 3) over `periods` (P,) are far beyond what is believable.
 
-    Far beyond is `TELEPORT_FACTOR` times the outlier limit, in proportion to the time but at least for one period.
+    Far beyond is `factor` times the outlier limit, in proportion to the time but at least for one period.
     """
-    limit = TELEPORT_FACTOR * robot.displacement_limit * np.maximum(periods, 1.0)[:, None]
+    limit = factor * robot.displacement_limit * np.maximum(periods, 1.0)[:, None]
     return (np.abs(displacement) > limit).any(axis=1)
 
 
@@ -86,8 +83,10 @@ def _doubtful_segments(rows: Rows, robot: Robot, segments: list[np.ndarray]) -> 
     return doubtful
 
 
-def _comes_back(rows: Rows, robot: Robot, trusted: int, later: list[np.ndarray]) -> bool:
-    latest_s = rows.time_s[trusted] + LONGEST_MISREAD_PERIODS * robot.period_s
+def _comes_back(
+    rows: Rows, robot: Robot, trusted: int, later: list[np.ndarray], longest_misread_periods: int = 10
+) -> bool:
+    latest_s = rows.time_s[trusted] + longest_misread_periods * robot.period_s
     soon = [segment[0] for segment in later if rows.time_s[segment[0]] <= latest_s]
     return any(_reachable(rows, robot, trusted, row) for row in soon)
 

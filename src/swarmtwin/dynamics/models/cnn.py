@@ -1,16 +1,13 @@
 """CNN, the paper's convolutional baseline (section 4.3), as its authors published it."""
 
-from itertools import pairwise
 from typing import ClassVar, Literal
 
 from torch import Tensor, nn
 
-from swarmtwin.dynamics.layers import LEAK, PointwiseConvolution
+from swarmtwin.dynamics.layers import PointwiseConvolution
 from swarmtwin.dynamics.model_config import ModelConfig, Steps
 from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
-
-CHANNELS = (1, 8, 64, 96, 32)
 
 
 class CNN(nn.Module):
@@ -21,13 +18,18 @@ class CNN(nn.Module):
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
-        self.convolutions = nn.Sequential(*(PointwiseConvolution(*pair) for pair in pairwise(CHANNELS)))
-        length = inputs + 2 * (len(CHANNELS) - 1)
+        self.convolutions = nn.Sequential(
+            PointwiseConvolution(1, 8),
+            PointwiseConvolution(8, 64),
+            PointwiseConvolution(64, 96),
+            PointwiseConvolution(96, 32),
+        )
+        length = inputs + 4 * 2  # each convolution pads by one at both ends
         self.layers = nn.Sequential(
-            nn.Linear(CHANNELS[-1] * length, 120),
-            nn.LeakyReLU(LEAK),
+            nn.Linear(32 * length, 120),
+            nn.LeakyReLU(),
             nn.Linear(120, 84),
-            nn.LeakyReLU(LEAK),
+            nn.LeakyReLU(),
             nn.Linear(84, 3),
             nn.Sigmoid(),
         )

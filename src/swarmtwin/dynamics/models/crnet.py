@@ -1,6 +1,5 @@
 """CR-Net, the paper's convolutional-recurrent network (section 3.6, figure 4), as its authors published it."""
 
-from itertools import pairwise
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -10,11 +9,6 @@ from swarmtwin.dynamics.layers import PointwiseConvolution
 from swarmtwin.dynamics.model_config import ModelConfig, Steps
 from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
-
-CHANNELS = 64
-HIDDEN = 5
-WIDTHS = (CHANNELS * HIDDEN, 128, 64, 256, 16, 256, 64, 32)
-NORMALISED_LAYERS = 5
 
 
 class CRNet(nn.Module):
@@ -26,13 +20,20 @@ class CRNet(nn.Module):
 
     def __init__(self, inputs: int, dropout: float) -> None:
         super().__init__()
-        self.convolutions = nn.Sequential(PointwiseConvolution(1, 8), PointwiseConvolution(8, CHANNELS))
-        self.lstm = nn.LSTM(inputs + 4, HIDDEN)
+        self.convolutions = nn.Sequential(PointwiseConvolution(1, 8), PointwiseConvolution(8, 64))
+        self.lstm = nn.LSTM(inputs + 4, 5)
         self.layers = nn.ModuleList(
-            _tanh_layer(*widths, dropout if number < NORMALISED_LAYERS else None)
-            for number, widths in enumerate(pairwise(WIDTHS))
+            [
+                _normalised_layer(64 * 5, 128, dropout),
+                _normalised_layer(128, 64, dropout),
+                _normalised_layer(64, 256, dropout),
+                _normalised_layer(256, 16, dropout),
+                _normalised_layer(16, 256, dropout),
+                nn.Sequential(nn.Linear(256, 64), nn.Tanh()),
+                nn.Sequential(nn.Linear(64, 32), nn.Tanh()),
+            ]
         )
-        self.output = nn.Sequential(nn.Linear(WIDTHS[-1], 3), nn.Sigmoid())
+        self.output = nn.Sequential(nn.Linear(32, 3), nn.Sigmoid())
 
     def forward(self, values: Tensor) -> Tensor:
         """Map inputs scaled to 0…1 (N, inputs) to displacements scaled to 0…1 (N, 3)."""
@@ -47,11 +48,8 @@ class CRNet(nn.Module):
         return scaled
 
 
-def _tanh_layer(inputs: int, outputs: int, dropout: float | None) -> nn.Sequential:
-    linear = nn.Linear(inputs, outputs)
-    if dropout is None:
-        return nn.Sequential(linear, nn.Tanh())
-    return nn.Sequential(linear, nn.BatchNorm1d(outputs), nn.Tanh(), nn.Dropout(dropout))
+def _normalised_layer(inputs: int, outputs: int, dropout: float) -> nn.Sequential:
+    return nn.Sequential(nn.Linear(inputs, outputs), nn.BatchNorm1d(outputs), nn.Tanh(), nn.Dropout(dropout))
 
 
 class Config(ModelConfig):

@@ -22,11 +22,6 @@ from swarmtwin.recordings.recording import Header, Track, fault
 from swarmtwin.recordings.resampling import interpolate_poses, mean_held
 from swarmtwin.robot import Positive, Robot
 
-POSE_FIELDS = ("time", "x", "y", "heading")
-COMMAND_FIELDS = ("time", "v", "omega")
-COMMAND_COLUMNS = ("v_mm_s", "omega_rad_s")
-DAY_S = 86_400
-
 logger = logging.getLogger(__name__)
 
 
@@ -42,8 +37,9 @@ def _session(folder: Path, poses: Mapping[str, _Stream]) -> tuple[float, float]:
     """Return when the first pose and the last were measured, in s since 1970, at most a day apart."""
     start_s = min(float(stream.time_s[0]) for stream in poses.values())
     end_s = max(float(stream.time_s[-1]) for stream in poses.values())
-    if end_s - start_s > DAY_S:
-        apart = f"the robots' poses were measured up to {(end_s - start_s) / DAY_S:.1f} days apart"
+    days = (end_s - start_s) / 86_400
+    if days > 1:
+        apart = f"the robots' poses were measured up to {days:.1f} days apart"
         raise fault(folder, apart, "use files of one and the same data set")
     return start_s, end_s
 
@@ -96,9 +92,9 @@ def _read_stream(file: Path, fields: Sequence[str]) -> _Stream:
 
 def _check_times(file: Path, time_s: np.ndarray, row_numbers: Sequence[int]) -> None:
     """Refuse times (S,) that no data set has, or that lie far from most of the file's."""
-    from_most_s = np.abs(time_s - np.median(time_s))
+    days_from_most = np.abs(time_s - np.median(time_s)) / 86_400
     year_2100_s = 4_102_444_800
-    strays = np.flatnonzero((np.abs(time_s) > year_2100_s) | (from_most_s > DAY_S))
+    strays = np.flatnonzero((np.abs(time_s) > year_2100_s) | (days_from_most > 1))
     if len(strays):
         what = f"time {time_s[strays[0]]:g} s is more than a day from most others, or beyond the year 2100"
         raise fault(file, what, "copy the file again from the data set", row=row_numbers[strays[0]], column="time")
@@ -183,13 +179,13 @@ class Config(ImporterConfig):
         Raises:
             UserError: files are missing or damaged, or hold no drive.
         """
-        if robot.command_columns != COMMAND_COLUMNS:
-            raise UserError(
-                f"MR.CLAM is driven by {', '.join(COMMAND_COLUMNS)}, robot {robot.name!r} is not: add robot=create"
-            )
+        if robot.command_columns != ("v_mm_s", "omega_rad_s"):
+            raise UserError(f"MR.CLAM is driven by v_mm_s, omega_rad_s, robot {robot.name!r} is not: add robot=create")
         chosen = _chosen_vehicles(folder, vehicles)
-        poses = {vehicle: _read_stream(_pose_file(folder, vehicle), POSE_FIELDS) for vehicle in chosen}
-        commands = {vehicle: _read_stream(_command_file(folder, vehicle), COMMAND_FIELDS) for vehicle in chosen}
+        poses = {
+            vehicle: _read_stream(_pose_file(folder, vehicle), ("time", "x", "y", "heading")) for vehicle in chosen
+        }
+        commands = {vehicle: _read_stream(_command_file(folder, vehicle), ("time", "v", "omega")) for vehicle in chosen}
         session_s, end_s = _session(folder, poses)
         ticks = int(np.ceil((end_s - session_s) / robot.period_s)) + 1
         time_s = np.arange(ticks) * robot.period_s

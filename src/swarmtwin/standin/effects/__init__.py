@@ -10,8 +10,6 @@ from swarmtwin.errors import UserError, near_miss
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
 
-ROUNDING_S = 1e-9
-
 
 @cache
 def catalogue() -> dict[str, type[Effect]]:
@@ -41,7 +39,7 @@ def parse_effects(entries: Sequence[Any], robot: Robot, vehicle_count: int) -> t
         parameters = {key: value for key, value in entry.items() if key != "name"}
         effects.append(catalogue()[name].parse(parameters, f"effect {name!r}").on(robot, vehicle_count))
     late_s = sum(effect.command_delay_s() for effect in effects)
-    if late_s > robot.period_s + ROUNDING_S:
+    if late_s > robot.period_s + 1e-9:  # a sum of delays is rounded
         raise UserError(
             f"effect 'command_delay': delay_s {late_s:g} is longer than the period of {robot.name!r}: "
             f"give at most {robot.period_s:g}, all delays together"

@@ -9,8 +9,6 @@ from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect, change_thrust, thrust_limit
 
-DEFAULT_SHARE = 0.25
-
 
 class DeadBand(Effect):
     """Commands smaller than a width do nothing, larger ones act as ever.
@@ -29,7 +27,7 @@ class DeadBand(Effect):
                 f"effect 'dead_band': width {self.width:g} leaves {robot.name!r} no command that does anything: "
                 f"give less than {limit:g}"
             )
-        return self.model_copy(update={"width": DEFAULT_SHARE * limit if self.width is None else self.width})
+        return self.model_copy(update={"width": 0.25 * limit if self.width is None else self.width})
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Leave out what is smaller than the width."""

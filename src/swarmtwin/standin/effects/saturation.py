@@ -9,8 +9,6 @@ from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect, change_thrust, thrust_limit
 
-DEFAULT_SHARE = 0.6
-
 
 class Saturation(Effect):
     """Commands beyond a limit act like the limit, smaller ones as ever.
@@ -29,7 +27,7 @@ class Saturation(Effect):
                 f"effect 'saturation': limit {self.limit:g} cuts no command of {robot.name!r}: "
                 f"give less than {largest:g}"
             )
-        return self.model_copy(update={"limit": DEFAULT_SHARE * largest if self.limit is None else self.limit})
+        return self.model_copy(update={"limit": 0.6 * largest if self.limit is None else self.limit})
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Cut what is larger than the limit."""

@@ -7,8 +7,6 @@ from pydantic import Field
 
 from swarmtwin.standin.effect import Effect, Rng
 
-LARGEST_DEVIATION = 3.0
-
 
 class TimingJitter(Effect):
     """Each period has its own length; the recorded times show it.
@@ -21,5 +19,5 @@ class TimingJitter(Effect):
 
     def durations(self, nominal: np.ndarray, rng: Rng) -> np.ndarray:
         """Draw the periods' lengths."""
-        deviation = np.clip(rng.standard_normal(nominal.shape), -LARGEST_DEVIATION, LARGEST_DEVIATION)
+        deviation = np.clip(rng.standard_normal(nominal.shape), -3.0, 3.0)
         return nominal * (1.0 + self.spread * deviation)

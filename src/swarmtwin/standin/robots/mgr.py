@@ -1,36 +1,34 @@
 """The stand-in Micro-Ground Robot: two geared motors on PWM, no encoders (paper, section 4.1.1)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from swarmtwin.standin.active_effects import ActiveEffects
-from swarmtwin.standin.physics import Physics, Surroundings, fabricate, take_up
-
-FULL_PWM = 120.0
-
-SPREADS = {
-    "left_speed": 0.02,
-    "right_speed": 0.02,
-    "left_dead_band": 0.05,
-    "right_dead_band": 0.05,
-    "time_constant": 0.05,
-    "track": 0.015,
-}
+from swarmtwin.standin.physics import Physics, Surroundings, Unit, fabricate, take_up
 
 
 @dataclass(frozen=True)
-class MgrUnit:
+class MgrUnit(Unit):
     """What differs from unit to unit. Wheel properties are (2, 1, V), left then right; the others (V,).
 
     Attributes:
+        spreads: standard deviation of each property's factor, in the order in which they are drawn.
         speed_mm_s: of a wheel's rim at full PWM: wheel radius and motor constant together.
         dead_band_pwm: below it a motor does not turn.
         time_constant_s: of a motor's speed.
         track_mm: distance between the wheels.
     """
+
+    spreads: ClassVar[Mapping[str, float]] = {
+        "left_speed": 0.02,
+        "right_speed": 0.02,
+        "left_dead_band": 0.05,
+        "right_dead_band": 0.05,
+        "time_constant": 0.05,
+        "track": 0.015,
+    }
 
     speed_mm_s: np.ndarray
     dead_band_pwm: np.ndarray
@@ -47,7 +45,7 @@ class MgrUnit:
     def of(cls, vehicles: Sequence[str], dtype: Any = np.float64) -> Self:
         """Return the units with these ids."""
         drawn = cls.as_drawn(len(vehicles))
-        factor = fabricate("mgr", vehicles, SPREADS)
+        factor = fabricate("mgr", vehicles, cls.spreads)
         speed = np.stack([factor["left_speed"], factor["right_speed"]])[:, None]
         dead_band = np.stack([factor["left_dead_band"], factor["right_dead_band"]])[:, None]
         return cls(
@@ -62,12 +60,15 @@ class StandIn(Physics):
     """PWM → wheel speed → slip → motion of the body, at 0.02 s.
 
     Attributes:
+        full_pwm: the largest command.
         curvature: how much the motor curve flattens towards full PWM.
         slip: share of the wheels' travel that is lost on the ground.
         slip_noise_sqrt_s: random part of it: standard deviation over one second, as a share of the travel.
         skid_s: velocity outwards in a curve, per centripetal acceleration.
     """
 
+    unit: MgrUnit
+    unit_class = MgrUnit
     command_columns = ("left", "right")
     states = ("x_mm", "y_mm", "heading_rad", "left_mm_s", "right_mm_s", "left_slack_mm", "right_slack_mm")
     substeps = 25
@@ -78,24 +79,16 @@ class StandIn(Physics):
     memory_of_place = False
     latent_draws = 64
 
+    full_pwm = 120.0
     curvature = 0.35
     slip = 0.04
     slip_noise_sqrt_s = 0.076
     skid_s = 0.03
 
-    def __init__(self, unit: MgrUnit, conditions: ActiveEffects) -> None:
-        super().__init__(conditions)
-        self.unit = unit
-
-    @classmethod
-    def of(cls, vehicles: Sequence[str], conditions: ActiveEffects, dtype: type = np.float64) -> Self:
-        """Return the physics of the units with these ids."""
-        return cls(MgrUnit.of(vehicles, dtype), conditions)
-
     def target(self, command: np.ndarray, strength: Any) -> np.ndarray:
         """Return the speeds (2, ...) in mm/s that the wheels tend to: a dead-band, then a curve that flattens."""
         effort = np.abs(command) - self.unit.dead_band_pwm
-        effort = np.maximum(effort, 0.0) / (FULL_PWM - self.unit.dead_band_pwm)
+        effort = np.maximum(effort, 0.0) / (self.full_pwm - self.unit.dead_band_pwm)
         curve = effort * (1.0 + self.curvature) / (1.0 + self.curvature * effort)
         return np.sign(command) * curve * self.unit.speed_mm_s * strength
 

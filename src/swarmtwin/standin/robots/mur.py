@@ -1,29 +1,28 @@
 """The stand-in Micro-Underwater Robot: one tail fin on a servo, in a pool (paper, section 4.1.2)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from swarmtwin.standin.active_effects import ActiveEffects
-from swarmtwin.standin.physics import Physics, Surroundings, fabricate, take_up
-
-SPREADS = {"thrust": 0.04, "yaw": 0.04, "drag": 0.03, "servo": 0.05}
-TRIM_SPREAD_RAD = 0.02
+from swarmtwin.standin.physics import Physics, Surroundings, Unit, fabricate, take_up
 
 
 @dataclass(frozen=True)
-class MurUnit:
+class MurUnit(Unit):
     """What differs from unit to unit; each (V,).
 
     Attributes:
+        spreads: standard deviation of each property's factor, of the trim in rad, in the order in which they are drawn.
         thrust: acceleration by the jet, mm/s² per (rad/s)² of squared beat.
         yaw: angular acceleration by a jet to the side, rad/s² per (rad/s)².
         drag_per_mm: quadratic drag along the body.
         servo_s: time constant of the servo.
         trim_rad: angle of the fin when it is told to be straight.
     """
+
+    spreads: ClassVar[Mapping[str, float]] = {"thrust": 0.04, "yaw": 0.04, "drag": 0.03, "servo": 0.05, "trim": 0.02}
 
     thrust: np.ndarray
     yaw: np.ndarray
@@ -41,7 +40,7 @@ class MurUnit:
     def of(cls, vehicles: Sequence[str], dtype: Any = np.float64) -> Self:
         """Return the units with these ids."""
         drawn = cls.as_drawn(len(vehicles))
-        factor = fabricate("mur", vehicles, SPREADS | {"trim": TRIM_SPREAD_RAD})
+        factor = fabricate("mur", vehicles, cls.spreads)
         return cls(
             (drawn.thrust * factor["thrust"]).astype(dtype),
             (drawn.yaw * factor["yaw"]).astype(dtype),
@@ -78,6 +77,8 @@ class StandIn(Physics):
         clearance_mm: smallest distance between the vehicle's centre and a wall.
     """
 
+    unit: MurUnit
+    unit_class = MurUnit
     command_columns = ("mean_angle_deg", "amplitude_deg", "frequency_rad_s")
     states = (
         *("x_mm", "y_mm", "heading_rad", "ahead_mm_s", "left_mm_s", "turn_rad_s"),
@@ -106,15 +107,6 @@ class StandIn(Physics):
     wall_drag = 1.5
     wall_reach_mm = 60.0
     clearance_mm = 80.0
-
-    def __init__(self, unit: MurUnit, conditions: ActiveEffects) -> None:
-        super().__init__(conditions)
-        self.unit = unit
-
-    @classmethod
-    def of(cls, vehicles: Sequence[str], conditions: ActiveEffects, dtype: type = np.float64) -> Self:
-        """Return the physics of the units with these ids."""
-        return cls(MurUnit.of(vehicles, dtype), conditions)
 
     def target(self, command: np.ndarray, strength: Any) -> np.ndarray:
         """Return the fin's (mean_rad, amplitude_rad, frequency_rad_s, strength) that a command asks for."""

@@ -1,13 +1,27 @@
 """A stand-in of the cart: wheels that follow at once. Unit 9 is worn: it loses a third of its speed in reverse."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from swarmtwin.standin.physics import Physics
+from swarmtwin.standin.physics import Physics, Unit
+
+
+@dataclass(frozen=True)
+class CartUnit(Unit):
+    """How fast each vehicle goes in reverse, over how fast it goes ahead, (V,)."""
+
+    reverse: np.ndarray
+
+    @classmethod
+    def of(cls, vehicles, dtype=np.float64):
+        return cls(np.array([2 / 3 if vehicle == "9" else 1.0 for vehicle in vehicles], dtype))
 
 
 class StandIn(Physics):
     """Effort → speed of the wheels → motion of the body."""
 
+    unit_class = CartUnit
     command_columns = ("left", "right")
     states = ("x_mm", "y_mm", "heading_rad")
     substeps = 5
@@ -19,16 +33,8 @@ class StandIn(Physics):
     latent_draws = 32
     bank_rows = 4096
 
-    def __init__(self, reverse, conditions):
-        super().__init__(conditions)
-        self.reverse = reverse
-
-    @classmethod
-    def of(cls, vehicles, conditions, dtype=np.float64):
-        return cls(np.array([2 / 3 if vehicle == "9" else 1.0 for vehicle in vehicles], dtype), conditions)
-
     def target(self, command, strength):
-        return np.where(command < 0, command * self.reverse, command) * strength
+        return np.where(command < 0, command * self.unit.reverse, command) * strength
 
     def step(self, state, target, dt_s, surroundings, noise):
         travel = target * dt_s * surroundings.traction
