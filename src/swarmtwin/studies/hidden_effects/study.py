@@ -6,7 +6,6 @@ with nothing wrong. The diagnosis sees the recordings alone.
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -21,6 +20,7 @@ from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.learning.parallel import Report, run_side_by_side
+from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.learning.trainer import one_thread
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.standin.session import require_stand_in
@@ -91,24 +91,12 @@ class Batch:
 
     def run(self, report: Report | None) -> None:
         """Learn the reference and score all cases; each result is reported as soon as it is there."""
-        with one_thread(), _quiet():
+        with one_thread(), quieter("swarmtwin.transitions", logging.WARNING):
             reference = learned_reference(self.robot, self.options, self.seed)
             for case in self.cases:
                 result = score_case(case, self.robot, reference, self.with_baselines)
                 if report:
                     report(result)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Leave out the count of each session's transitions."""
-    logger = logging.getLogger("swarmtwin.transitions")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def learned_reference(robot: Robot, options: ReferenceOptions, seed: int) -> Reference:
