@@ -5,11 +5,11 @@ import pytest
 from scipy import stats
 
 from case_results import result
+from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.errors import UserError
 from swarmtwin.standin.effect import Placement
 from swarmtwin.standin.effects import catalogue
 from swarmtwin.studies.hidden_effects.cases import (
-    CATALOGUE,
     KINDS,
     VARIETIES,
     CaseCounts,
@@ -19,10 +19,10 @@ from swarmtwin.studies.hidden_effects.cases import (
     one_effect,
     several_effects,
 )
-from swarmtwin.studies.hidden_effects.cases import OUTSIDE as OUTSIDE_SIZES
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE, PARAMETERS
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
-from swarmtwin.studies.hidden_effects.outside_catalogue import OUTSIDE, SwappedWheels, WarmUp
+from swarmtwin.studies.hidden_effects.outside_effects import EFFECTS, SwappedWheels, WarmUp
 from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     HeldOutGain,
@@ -31,7 +31,8 @@ from swarmtwin.studies.hidden_effects.results import (
     read_results,
     results_table,
 )
-from swarmtwin.studies.hidden_effects.sessions import MeanErrors, clean_twin, effects_of, measure
+from swarmtwin.studies.hidden_effects.scoring import rise_percent
+from swarmtwin.studies.hidden_effects.sessions import clean_twin, effects_of, measure
 from swarmtwin.studies.hidden_effects.tables import study_tables
 
 PLAN = Plan(seed=5, runs=12, steps=20, references=2)
@@ -180,7 +181,8 @@ def test_bounds_are_those_of_the_books():
 
 def test_every_effect_of_the_catalogue_is_drawn_and_makes_sense(two):
     assert set(CATALOGUE) == set(catalogue())
-    assert set(OUTSIDE) == set(OUTSIDE_SIZES)
+    assert set(OUTSIDE) == set(EFFECTS)
+    assert set(PARAMETERS) == {*CATALOGUE, *OUTSIDE}
     assert len(OUTSIDE) >= 8
     cases = draw_cases(two, PLAN, COUNTS, "all")
     robots = {robot.name: robot for robot in two}
@@ -221,11 +223,12 @@ def test_a_clear_effect_raises_the_error_and_its_twin_has_none(two):
     assert np.array_equal(hidden.footage.time_s, twin.footage.time_s)
     least = [session.least_displacement(session.transitions) for session in (hidden, twin)]
     now, usual = (
-        MeanErrors.of(own, session.transitions.displacement) for own, session in zip(least, (hidden, twin), strict=True)
+        ErrorFigure.between(own, session.transitions.displacement)
+        for own, session in zip(least, (hidden, twin), strict=True)
     )
     assert now.position_mm == pytest.approx(usual.position_mm, rel=0.25)
     wrong = least[0] / case.effects[0]["gain"]
-    assert MeanErrors.of(wrong, hidden.transitions.displacement).rise_percent(usual) > 20
+    assert rise_percent(ErrorFigure.between(wrong, hidden.transitions.displacement), usual) > 20
 
 
 def test_more_pose_noise_is_as_much_as_asked(two):

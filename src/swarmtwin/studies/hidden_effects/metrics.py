@@ -1,18 +1,31 @@
 """What is counted over cases: how often causes are found and rightly named, false alarms, parameters, gains."""
 
-from collections.abc import Iterable, Sequence
-from typing import Self
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Self
 
+import numpy as np
 import pandas as pd
 from scipy.stats import binomtest
 
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.hidden_effects.results import Result, parameters_table, results_table
+from swarmtwin.world.rollout import Rate
 
 RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % or more": (10.0, float("inf"))}
 """By how much an effect raises the one-step error, in percent: from the first figure to below the second."""
 
 MIDDLE, CLEAR = "3 to 10 %", "10 % or more"
+
+NAMING = ("found", "named_first", "listed", "exact")
+SILENCE = ("found", "not_named", "not_explained")
+ALARMS = ("accused", "alarmed", "harmed")
+
+METHODS = {
+    "diagnosis": ("named", "named_first", "exact"),
+    "parameter fitting": ("fitting", "fitting_first", "fitting_exact"),
+    "correlation rules": ("rule", "rule_first", "rule_first"),
+}
+"""Of each method the columns that hold the causes it named, whether the first is true, and whether all are."""
 
 
 class Proportion(StrictModel):
@@ -41,10 +54,9 @@ class Proportion(StrictModel):
         count, total = sum(cases), len(cases)
         if not total:
             return cls(count=0, total=0, share=None, low=0.0, high=1.0, at_most=1.0)
-        interval = binomtest(count, total).proportion_ci(0.95, method="wilson")
+        _, low, high = Rate.of(np.array(cases))
         at_most = binomtest(count, total, alternative="less").proportion_ci(0.95, method="exact").high
-        ends = {"low": float(interval.low), "high": float(interval.high), "at_most": float(at_most)}
-        return cls(count=count, total=total, share=count / total, **ends)
+        return cls(count=count, total=total, share=count / total, low=low, high=high, at_most=float(at_most))
 
     def __str__(self) -> str:
         return "–" if self.share is None else f"{self.share:.1%} ({self.count}/{self.total})"
@@ -143,37 +155,37 @@ class Summary(StrictModel):
 
 def summarise(results: Sequence[Result]) -> Summary:
     """Count everything; at least one result."""
-    table = results_table(results)
-    single, outside, clean = (table[table.kind == kind] for kind in ("single", "outside", "clean"))
+    table = _judged(results_table(results))
+    single, pair, triple, outside, clean = (
+        table[table.kind == kind] for kind in ("single", "pair", "triple", "outside", "clean")
+    )
     clear = single[in_rise_bin(single, CLEAR)]
+    named = single[single.named != ""]
     parameters = parameters_table([result for result in results if result.case.kind == "single"])
-    first = [result for result in results if result.case.kind == "single" and result.causes]
-    rivals = pd.Series([len(cause.rivals) for result in results for cause in result.causes], dtype=float)
+    causes = [cause for result in results for cause in result.causes]
+    first = [result.causes[0] for result in results if result.case.kind == "single" and result.causes]
     return Summary(
         cases=len(table),
         failed=Proportion.of(table.verdict == "failed"),
         single=_naming_by_rise(single),
-        single_by_robot={str(name): _naming_by_rise(own) for name, own in single.groupby("robot", sort=False)},
-        single_by_cause={str(name): _naming_by_rise(own) for name, own in single.groupby("variety", sort=False)},
-        pair=_naming(table[table.kind == "pair"]),
-        triple=_naming(table[table.kind == "triple"]),
-        outside=_silence(outside),
-        outside_by_effect={str(name): _silence(own) for name, own in outside.groupby("variety", sort=False)},
-        clean=_alarms(clean),
-        clean_by_variety={str(name): _alarms(own) for name, own in clean.groupby("variety", sort=False)},
-        worst_harm_percent=max(0.0, _harm_percent(clean).max()) if clean.after_mm.notna().any() else 0.0,
-        parameters={
-            str(name): _precision(own)
-            for name, own in parameters.groupby(parameters.cause + "." + parameters.name, sort=False)
-        },
+        single_by_robot=_of_each(single, "robot", _naming_by_rise),
+        single_by_cause=_of_each(single, "variety", _naming_by_rise),
+        pair=_proportions(pair, NAMING),
+        triple=_proportions(triple, NAMING),
+        outside=_proportions(outside, SILENCE),
+        outside_by_effect=_of_each(outside, "variety", lambda own: _proportions(own, SILENCE)),
+        clean=_proportions(clean, ALARMS),
+        clean_by_variety=_of_each(clean, "variety", lambda own: _proportions(own, ALARMS)),
+        worst_harm_percent=clean.harm_percent.max() if (clean.harm_percent > 0).any() else 0.0,
+        parameters=_of_each(parameters, parameters.cause + "." + parameters.name, _precision),
         median_parameter_error_percent=_median(parameters.error_percent),
         covered=Proportion.of(parameters.covered),
         gain=_gains(clear),
-        gain_by_cause={str(name): _gains(own) for name, own in clear.groupby("variety", sort=False)},
+        gain_by_cause=_of_each(clear, "variety", _gains),
         methods=_methods(table),
-        rivals_a_cause=float(rivals.mean()) if len(rivals) else None,
-        mean_confidence=sum(result.causes[0].confidence for result in first) / len(first) if first else None,
-        first_right=Proportion.of(result.is_named_first for result in first),
+        rivals_a_cause=sum(len(cause.rivals) for cause in causes) / len(causes) if causes else None,
+        mean_confidence=sum(cause.confidence for cause in first) / len(first) if first else None,
+        first_right=Proportion.of(named.named_first),
         median_seconds=float(table.seconds.median()),
         longest_seconds=float(table.seconds.max()),
     )
@@ -185,33 +197,30 @@ def in_rise_bin(table: pd.DataFrame, name: str) -> pd.Series:
     return table.rise_percent.between(low, high, inclusive="left")
 
 
-def _naming(table: pd.DataFrame) -> Proportions:
-    return {name: Proportion.of(table[name]) for name in ("found", "named_first", "listed", "exact")}
+def _judged(table: pd.DataFrame) -> pd.DataFrame:
+    """Add to the table of results what silence and alarms are judged by."""
+    harm_percent = 100 * (table.after_mm.astype(float) / table.before_mm.astype(float) - 1)
+    return table.assign(
+        not_named=(table.verdict != "failed") & (table.named == ""),
+        not_explained=table.verdict.isin(["unexplained", "no_gap"]),
+        accused=table.named != "",
+        alarmed=table.found,
+        harmed=harm_percent >= 0.5,
+        harm_percent=harm_percent,
+    )
+
+
+def _of_each(table: pd.DataFrame, by: str | pd.Series, count: Callable[[pd.DataFrame], Any]) -> dict[str, Any]:
+    """Count the rows of each group by themselves."""
+    return {str(name): count(own) for name, own in table.groupby(by, sort=False)}
+
+
+def _proportions(table: pd.DataFrame, columns: Iterable[str]) -> Proportions:
+    return {column: Proportion.of(table[column]) for column in columns}
 
 
 def _naming_by_rise(table: pd.DataFrame) -> dict[str, Proportions]:
-    return {name: _naming(table[in_rise_bin(table, name)]) for name in RISE_BINS}
-
-
-def _silence(table: pd.DataFrame) -> Proportions:
-    return {
-        "found": Proportion.of(table.found),
-        "not_named": Proportion.of((table.verdict != "failed") & (table.named == "")),
-        "not_explained": Proportion.of(table.verdict.isin(["unexplained", "no_gap"])),
-    }
-
-
-def _alarms(table: pd.DataFrame) -> Proportions:
-    return {
-        "accused": Proportion.of(table.named != ""),
-        "alarmed": Proportion.of(table.found),
-        "harmed": Proportion.of(_harm_percent(table) >= 0.5),
-    }
-
-
-def _harm_percent(table: pd.DataFrame) -> pd.Series:
-    """Return by how much the extended simulation errs more than the simulation."""
-    return 100 * (table.after_mm.astype(float) / table.before_mm.astype(float) - 1)
+    return {name: _proportions(table[in_rise_bin(table, name)], NAMING) for name in RISE_BINS}
 
 
 def _precision(parameters: pd.DataFrame) -> Precision:
@@ -238,22 +247,18 @@ def _gains(table: pd.DataFrame) -> MedianGains:
 
 def _methods(table: pd.DataFrame) -> dict[str, Proportions]:
     """Compare the methods that name causes; those beside the diagnosis on the cases that they worked on."""
-    compared = table[table.with_baselines]
-    methods = {"diagnosis": _method(table, "named", "named_first", "exact")}
-    if len(compared):
-        methods["parameter fitting"] = _method(compared, "fitting", "fitting_first", "fitting_exact")
-        methods["correlation rules"] = _method(compared, "rule", "rule_first", "rule_first")
+    methods = {}
+    for method, (named, first, exact) in METHODS.items():
+        cases = table if method == "diagnosis" else table[table.with_baselines]
+        clear = cases[(cases.kind == "single") & in_rise_bin(cases, CLEAR)]
+        if len(cases):
+            methods[method] = {
+                "named_first": Proportion.of(clear[first]),
+                "exact": Proportion.of(clear[exact]),
+                "accused": Proportion.of(cases[named][cases.kind == "clean"] != ""),
+                "outside": Proportion.of(cases[named][cases.kind == "outside"] == ""),
+            }
     return methods
-
-
-def _method(table: pd.DataFrame, named: str, first_right: str, exact: str) -> Proportions:
-    clear = (table.kind == "single") & in_rise_bin(table, CLEAR)
-    return {
-        "named_first": Proportion.of(table[first_right][clear]),
-        "exact": Proportion.of(table[exact][clear]),
-        "accused": Proportion.of(table[named][table.kind == "clean"] != ""),
-        "outside": Proportion.of(table[named][table.kind == "outside"] == ""),
-    }
 
 
 def _median(values: pd.Series) -> float | None:
