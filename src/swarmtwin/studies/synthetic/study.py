@@ -32,8 +32,7 @@ from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, measure
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.synthetic.cases import Amount, Case, TrainingSets, chosen_cases
-from swarmtwin.studies.synthetic.error_plot import cases_figure
-from swarmtwin.studies.synthetic.table import ERRORS, case_table
+from swarmtwin.studies.synthetic.table import ERRORS, case_table, cases_figure
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions import Preparation
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
