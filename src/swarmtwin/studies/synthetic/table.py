@@ -1,6 +1,6 @@
 """Models trained on real and on synthetic transitions side by side: their table.csv to read, and as a picture."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,34 +15,27 @@ ERRORS = {"position_mm": "position error, mm", "orientation_deg": "orientation e
 PLACES = {"train_vehicle": "vehicle learned from", "other_vehicle": "another vehicle"}
 
 
-class CaseRow(NamedTuple):
-    """One case as a person reads it; errors first in mm, then in degrees, and × those of CR-Net-R on all real data."""
+def case_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the floor and then each case of table.csv, in its order, as a person reads it.
 
-    title: str
-    inputs: str
-    real: str
-    steps: str
-    train_vehicle: list[str]
-    other_vehicle: list[str]
-    dead_seeds: str
-
-
-def case_rows(table: pd.DataFrame) -> list[CaseRow]:
-    """Return the floor and then each case of table.csv, in its order."""
+    Errors stand first in mm, then in degrees, each × that of CR-Net-R on all real data.
+    """
     rows = {place: {row["case"]: row for row in part.to_dict("records")} for place, part in table.groupby("recording")}
-    train, other = rows["train_vehicle"], rows["other_vehicle"]
-    shown = [CaseRow("floor", "", "", "", _floor(train["real"]), _floor(other["real"]), "")]
-    for case, row in train.items():
+    real = {place: rows[place]["real"] for place in PLACES}
+    floor = {place: [f"{real[place][f'floor_{name}']:.2f}       " for name in ERRORS] for place in PLACES}
+    shown: list[dict[str, Any]] = [
+        {"title": "floor", "inputs": "", "real": "", "steps": "", **floor, "dead_seeds": ""},
+    ]
+    for case, row in rows["train_vehicle"].items():
         shown.append(
-            CaseRow(
-                title=str(row["title"]),
-                inputs=str(row["inputs"]),
-                real=f"{row['real']:,}",
-                steps=f"{row['steps']:,}",
-                train_vehicle=_compared(row, train["real"]),
-                other_vehicle=_compared(other[case], other["real"]),
-                dead_seeds=f"{row['dead_seeds']} of {row['seeds']}",
-            )
+            {
+                "title": row["title"],
+                "inputs": row["inputs"],
+                "real": f"{row['real']:,}",
+                "steps": f"{row['steps']:,}",
+                **{place: _compared(rows[place][case], real[place]) for place in PLACES},
+                "dead_seeds": f"{row['dead_seeds']} of {row['seeds']}",
+            }
         )
     return shown
 
@@ -55,18 +48,15 @@ def case_table(title: str, table: pd.DataFrame) -> Table:
     for heading in ("real\nseen", "\nsteps", "train vehicle\nmm, °", "other vehicle\nmm, °", "dead\nseeds"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for row in case_rows(table):
-        cells = ["\n".join(cell) if isinstance(cell, list) else cell for cell in row[2:]]
-        given = f"\n  {row.inputs}" if row.inputs else ""
-        shown.add_row(f"{row.title}{given}", *cells, style="dim" if row.title == "floor" else None)
+        errors = ("\n".join(row[place]) for place in PLACES)
+        given = f"\n  {row['inputs']}" if row["inputs"] else ""
+        style = "dim" if row["title"] == "floor" else None
+        shown.add_row(f"{row['title']}{given}", row["real"], row["steps"], *errors, row["dead_seeds"], style=style)
     shown.caption = (
         "on runs nobody has seen; ×: compared with CR-Net-R on all real transitions; given: what the model looks at; "
         "the ensemble is what the generator of CR-Net-S predicts the mean with, here used directly"
     )
     return shown
-
-
-def _floor(row: dict[Any, Any]) -> list[str]:
-    return [f"{row[f'floor_{name}']:.2f}       " for name in ERRORS]
 
 
 def _compared(row: dict[Any, Any], reference: dict[Any, Any]) -> list[str]:
