@@ -53,7 +53,7 @@ def test_planted_names_give_planted_rates():
         result("single", "command_delay", verdict="unexplained", rise=1.0),
     ]
     summary = summarise(results)
-    clear = summary.single[CLEAR]
+    clear = summary["single"][CLEAR]
     assert (clear["found"].count, clear["named_first"].count, clear["listed"].count, clear["exact"].count) == (
         10,
         7,
@@ -61,13 +61,13 @@ def test_planted_names_give_planted_rates():
         7,
     )
     assert clear["found"].total == 10
-    middle = summary.single["3 to 10 %"]
+    middle = summary["single"]["3 to 10 %"]
     assert (middle["named_first"].count, middle["exact"].count, middle["found"].total) == (1, 0, 1)
-    faint = summary.single["below 3 %"]
+    faint = summary["single"]["below 3 %"]
     assert (faint["found"].count, faint["named_first"].count, faint["listed"].count) == (1, 0, 0)
-    assert summary.single_by_cause["gain_change"][CLEAR]["named_first"].share == pytest.approx(0.7)
-    assert (summary.first_right.count, summary.first_right.total) == (8, 11)
-    assert summary.rivals_a_cause == pytest.approx(1 / 12)
+    assert summary["single_by_cause"]["gain_change"][CLEAR]["named_first"].share == pytest.approx(0.7)
+    assert (summary["first_right"].count, summary["first_right"].total) == (8, 11)
+    assert summary["rivals_a_cause"] == pytest.approx(1 / 12)
 
 
 def test_two_at_once_must_be_exactly_these():
@@ -79,10 +79,10 @@ def test_two_at_once_must_be_exactly_these():
         result("pair", pair, ["saturation", "marker_yaw"], rivals=("dead_band",)),
     ]
     summary = summarise(results)
-    assert summary.pair["exact"].count == 1
-    assert summary.pair["listed"].count == 3
-    assert summary.pair["named_first"].count == 3
-    assert summary.triple["exact"].share is None
+    assert summary["pair"]["exact"].count == 1
+    assert summary["pair"]["listed"].count == 3
+    assert summary["pair"]["named_first"].count == 3
+    assert summary["triple"]["exact"].share is None
 
 
 def test_silence_is_right_where_nothing_is_wrong_and_where_there_is_no_name():
@@ -98,13 +98,17 @@ def test_silence_is_right_where_nothing_is_wrong_and_where_there_is_no_name():
         result("outside", "bowl"),
     ]
     summary = summarise(results)
-    assert (summary.clean["accused"].count, summary.clean["alarmed"].count, summary.clean["harmed"].count) == (1, 2, 1)
-    assert summary.clean["accused"].total == 100
-    assert summary.clean_by_variety["gentle"]["accused"].share == pytest.approx(0.5)
-    assert summary.worst_harm_percent == pytest.approx(1.0)
-    assert summary.outside["not_named"].count == 2
-    assert summary.outside["not_explained"].count == 3
-    assert summary.outside["found"].count == 3
+    assert (summary["clean"]["accused"].count, summary["clean"]["alarmed"].count, summary["clean"]["harmed"].count) == (
+        1,
+        2,
+        1,
+    )
+    assert summary["clean"]["accused"].total == 100
+    assert summary["clean_by_variety"]["gentle"]["accused"].share == pytest.approx(0.5)
+    assert summary["worst_harm_percent"] == pytest.approx(1.0)
+    assert summary["outside"]["not_named"].count == 2
+    assert summary["outside"]["not_explained"].count == 3
+    assert summary["outside"]["found"].count == 3
 
 
 def test_a_failed_diagnosis_is_no_success_of_any_kind():
@@ -115,12 +119,12 @@ def test_a_failed_diagnosis_is_no_success_of_any_kind():
         result("pair", "dead_band+marker_yaw").model_copy(update=failed),
     ]
     summary = summarise(results)
-    assert summary.failed.count == 3
-    assert not summary.single[CLEAR]["found"].count
-    assert not summary.single[CLEAR]["exact"].count
-    assert not summary.outside["not_named"].count
-    assert not summary.outside["not_explained"].count
-    assert not summary.pair["exact"].count
+    assert summary["failed"].count == 3
+    assert not summary["single"][CLEAR]["found"].count
+    assert not summary["single"][CLEAR]["exact"].count
+    assert not summary["outside"]["not_named"].count
+    assert not summary["outside"]["not_explained"].count
+    assert not summary["pair"]["exact"].count
 
 
 def parameter(name, true, value, half):
@@ -137,15 +141,15 @@ def test_parameter_errors_and_coverage():
         parameter("direction_rad", 0.0, 0.2, 0.3),
     )
     summary = summarise([result("single", "gain_change", ["gain_change"], parameters=found)])
-    gain = summary.parameters["gain_change.gain"]
-    assert gain.count == 3
-    assert gain.median_error == pytest.approx(0.02)
-    assert gain.median_error_percent == pytest.approx(2.5)
-    assert gain.median_error_of_change_percent == pytest.approx(10.0)
-    assert (gain.covered.count, gain.covered.total) == (2, 3)
-    assert summary.parameters["gain_change.direction_rad"].median_error_percent is None
-    assert summary.median_parameter_error_percent == pytest.approx(2.5)
-    assert (summary.covered.count, summary.covered.total) == (3, 4)
+    gain = summary["parameters"]["gain_change.gain"]
+    assert gain["count"] == 3
+    assert gain["median_error"] == pytest.approx(0.02)
+    assert gain["median_error_percent"] == pytest.approx(2.5)
+    assert gain["median_error_of_change_percent"] == pytest.approx(10.0)
+    assert (gain["covered"].count, gain["covered"].total) == (2, 3)
+    assert summary["parameters"]["gain_change.direction_rad"]["median_error_percent"] is None
+    assert summary["median_parameter_error_percent"] == pytest.approx(2.5)
+    assert (summary["covered"].count, summary["covered"].total) == (3, 4)
 
 
 def test_other_methods_are_counted_on_the_same_cases():
@@ -158,12 +162,12 @@ def test_other_methods_are_counted_on_the_same_cases():
         result("clean", "plain", baselines=wrong),
     ]
     summary = summarise(results)
-    fitting, rules = summary.methods["parameter fitting"], summary.methods["correlation rules"]
+    fitting, rules = summary["methods"]["parameter fitting"], summary["methods"]["correlation rules"]
     assert (fitting["named_first"].count, fitting["exact"].count, fitting["accused"].count) == (1, 0, 1)
     assert (rules["named_first"].count, rules["exact"].count, rules["accused"].count) == (1, 1, 0)
-    assert summary.methods["diagnosis"]["exact"].count == 2
-    assert summary.gain.black_box == pytest.approx(0.4)
-    assert summary.gain.diagnosis == pytest.approx(0.9)
+    assert summary["methods"]["diagnosis"]["exact"].count == 2
+    assert summary["gain"]["black_box"] == pytest.approx(0.4)
+    assert summary["gain"]["diagnosis"] == pytest.approx(0.9)
     text = "\n".join(table.markdown() for table in study_tables(summary))
     assert "| parameter fitting | 50.0% (1/2) | 0.0% (0/2) | 100.0% (1/1) | – |" in text
 

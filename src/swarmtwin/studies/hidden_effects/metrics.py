@@ -65,46 +65,8 @@ class Proportion(StrictModel):
 Proportions = dict[str, Proportion]
 
 
-class Precision(StrictModel):
-    """How well a parameter was measured, over the cases in which its cause was named.
-
-    Attributes:
-        count: of cases.
-        median_error: in the parameter's own unit.
-        median_error_percent: of the true value; null for angles and places, which have no size.
-        median_error_of_change_percent: of what the true value differs by from doing nothing, for factors.
-        covered: 95 % intervals that hold the true value.
-        unit: of the parameter.
-    """
-
-    count: int
-    median_error: float
-    median_error_percent: float | None
-    median_error_of_change_percent: float | None
-    covered: Proportion
-    unit: str
-
-
-class MedianGains(StrictModel):
-    """Median shares of the achievable gain on held-out runs, over single effects that raise the error by 10 % or more.
-
-    Attributes:
-        count: of cases.
-        diagnosis: of the squared error that the effect had brought.
-        black_box: likewise, of a black-box residual.
-        diagnosis_to_floor: of all squared error above that of the exact mean.
-        black_box_to_floor: likewise.
-    """
-
-    count: int
-    diagnosis: float | None
-    black_box: float | None
-    diagnosis_to_floor: float | None
-    black_box_to_floor: float | None
-
-
-class Summary(StrictModel):
-    """The content of metrics.json.
+def summarise(results: Sequence[Result]) -> dict[str, Any]:
+    """Count everything, of at least one result: the content of metrics.json; None where nothing is known.
 
     Of single effects, by how much they raise the error, and of pairs and triples:
         found: something was said to be wrong.
@@ -121,74 +83,50 @@ class Summary(StrictModel):
         harmed: the extended simulation errs by 0.5 % or more above the simulation.
     Of the methods that name causes, on the same cases: `named_first` and `exact` of single effects that raise the error
     by 10 % or more, `accused` of clean sessions, and `outside`, those outside the catalogue to which none was given.
+    Of each parameter of a cause named, over single effects: median errors in its own unit, in percent of the true value
+    (not of angles and places, which have no size) and, for factors, of what the true value differs by from doing
+    nothing; `covered`: 95 % intervals that hold the true value.
+    Of the achievable gain on held-out runs, over single effects that raise the error by 10 % or more: median shares of
+    the squared error that the effect had brought, and `to_floor` of all squared error above that of the exact mean, by
+    the diagnosis and by a black-box residual.
 
-    Attributes that do not speak for themselves:
+    What does not speak for itself:
         rivals_a_cause: mean number of rivals that a named cause has; of many, one is easily the true one.
         mean_confidence: of the first causes named of single effects; to be compared with how often they are true.
         first_right: how often that is.
     """
-
-    cases: int
-    failed: Proportion
-    single: dict[str, Proportions]
-    single_by_robot: dict[str, dict[str, Proportions]]
-    single_by_cause: dict[str, dict[str, Proportions]]
-    pair: Proportions
-    triple: Proportions
-    outside: Proportions
-    outside_by_effect: dict[str, Proportions]
-    clean: Proportions
-    clean_by_variety: dict[str, Proportions]
-    worst_harm_percent: float
-    parameters: dict[str, Precision]
-    median_parameter_error_percent: float | None
-    covered: Proportion
-    gain: MedianGains
-    gain_by_cause: dict[str, MedianGains]
-    methods: dict[str, Proportions]
-    rivals_a_cause: float | None
-    mean_confidence: float | None
-    first_right: Proportion
-    median_seconds: float
-    longest_seconds: float
-
-
-def summarise(results: Sequence[Result]) -> Summary:
-    """Count everything; at least one result."""
     table = _judged(results_table(results))
-    single, pair, triple, outside, clean = (
-        table[table.kind == kind] for kind in ("single", "pair", "triple", "outside", "clean")
-    )
+    kinds = {kind: table[table.kind == kind] for kind in ("single", "pair", "triple", "outside", "clean")}
+    single, outside, clean = kinds["single"], kinds["outside"], kinds["clean"]
     clear = single[in_rise_bin(single, CLEAR)]
-    named = single[single.named != ""]
     parameters = parameters_table([result for result in results if result.case.kind == "single"])
     causes = [cause for result in results for cause in result.causes]
     first = [result.causes[0] for result in results if result.case.kind == "single" and result.causes]
-    return Summary(
-        cases=len(table),
-        failed=Proportion.of(table.verdict == "failed"),
-        single=_naming_by_rise(single),
-        single_by_robot=_of_each(single, "robot", _naming_by_rise),
-        single_by_cause=_of_each(single, "variety", _naming_by_rise),
-        pair=_proportions(pair, NAMING),
-        triple=_proportions(triple, NAMING),
-        outside=_proportions(outside, SILENCE),
-        outside_by_effect=_of_each(outside, "variety", lambda own: _proportions(own, SILENCE)),
-        clean=_proportions(clean, ALARMS),
-        clean_by_variety=_of_each(clean, "variety", lambda own: _proportions(own, ALARMS)),
-        worst_harm_percent=clean.harm_percent.max() if (clean.harm_percent > 0).any() else 0.0,
-        parameters=_of_each(parameters, parameters.cause + "." + parameters.name, _precision),
-        median_parameter_error_percent=_median(parameters.error_percent),
-        covered=Proportion.of(parameters.covered),
-        gain=_gains(clear),
-        gain_by_cause=_of_each(clear, "variety", _gains),
-        methods=_methods(table),
-        rivals_a_cause=sum(len(cause.rivals) for cause in causes) / len(causes) if causes else None,
-        mean_confidence=sum(cause.confidence for cause in first) / len(first) if first else None,
-        first_right=Proportion.of(named.named_first),
-        median_seconds=float(table.seconds.median()),
-        longest_seconds=float(table.seconds.max()),
-    )
+    return {
+        "cases": len(table),
+        "failed": Proportion.of(table.verdict == "failed"),
+        "single": _naming_by_rise(single),
+        "single_by_robot": _of_each(single, "robot", _naming_by_rise),
+        "single_by_cause": _of_each(single, "variety", _naming_by_rise),
+        "pair": _proportions(kinds["pair"], NAMING),
+        "triple": _proportions(kinds["triple"], NAMING),
+        "outside": _proportions(outside, SILENCE),
+        "outside_by_effect": _of_each(outside, "variety", lambda own: _proportions(own, SILENCE)),
+        "clean": _proportions(clean, ALARMS),
+        "clean_by_variety": _of_each(clean, "variety", lambda own: _proportions(own, ALARMS)),
+        "worst_harm_percent": float(clean.harm_percent.clip(lower=0.0).fillna(0.0).max()) if len(clean) else 0.0,
+        "parameters": _of_each(parameters, parameters.cause + "." + parameters.name, _precision),
+        "median_parameter_error_percent": _median(parameters.error_percent),
+        "covered": Proportion.of(parameters.covered),
+        "gain": _gains(clear),
+        "gain_by_cause": _of_each(clear, "variety", _gains),
+        "methods": _methods(table),
+        "rivals_a_cause": sum(len(cause.rivals) for cause in causes) / len(causes) if causes else None,
+        "mean_confidence": sum(cause.confidence for cause in first) / len(first) if first else None,
+        "first_right": Proportion.of(single.named_first[single.named != ""]),
+        "median_seconds": float(table.seconds.median()),
+        "longest_seconds": float(table.seconds.max()),
+    }
 
 
 def in_rise_bin(table: pd.DataFrame, name: str) -> pd.Series:
@@ -223,26 +161,25 @@ def _naming_by_rise(table: pd.DataFrame) -> dict[str, Proportions]:
     return {name: _proportions(table[in_rise_bin(table, name)], NAMING) for name in RISE_BINS}
 
 
-def _precision(parameters: pd.DataFrame) -> Precision:
+def _precision(parameters: pd.DataFrame) -> dict[str, Any]:
     """Summarise one parameter of one cause."""
-    return Precision(
-        count=len(parameters),
-        median_error=float(parameters.error.median()),
-        median_error_percent=_median(parameters.error_percent),
-        median_error_of_change_percent=_median(parameters.error_of_change_percent),
-        covered=Proportion.of(parameters.covered),
-        unit=parameters.unit.iloc[0],
-    )
+    errors = ("error", "error_percent", "error_of_change_percent")
+    return {
+        "count": len(parameters),
+        **{f"median_{error}": _median(parameters[error]) for error in errors},
+        "covered": Proportion.of(parameters.covered),
+        "unit": parameters.unit.iloc[0],
+    }
 
 
-def _gains(table: pd.DataFrame) -> MedianGains:
-    return MedianGains(
-        count=int(table.after_mm.notna().sum()),
-        diagnosis=_median(table.share),
-        black_box=_median(table.black_box_share),
-        diagnosis_to_floor=_median(table.share_to_floor),
-        black_box_to_floor=_median(table.black_box_share_to_floor),
-    )
+def _gains(table: pd.DataFrame) -> dict[str, Any]:
+    return {
+        "count": int(table.after_mm.notna().sum()),
+        "diagnosis": _median(table.share),
+        "black_box": _median(table.black_box_share),
+        "diagnosis_to_floor": _median(table.share_to_floor),
+        "black_box_to_floor": _median(table.black_box_share_to_floor),
+    }
 
 
 def _methods(table: pd.DataFrame) -> dict[str, Proportions]:

@@ -4,11 +4,12 @@ Every cause of the catalogue, clear and faint; two and three at once; effects th
 with nothing wrong. The diagnosis sees the recordings alone.
 """
 
+import json
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from matplotlib.figure import Figure
 from pydantic import BeforeValidator, Field
@@ -31,7 +32,7 @@ from swarmtwin.studies.hidden_effects.detection_plots import (
     detection_figure,
     parameters_figure,
 )
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, Summary, summarise
+from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
 from swarmtwin.studies.hidden_effects.results import (
     Result,
     append_result,
@@ -163,12 +164,13 @@ def _batches(
                 yield Batch(robot, options.reference, seed, tuple(own[first : first + largest]), options.baselines)
 
 
-def _save(folder: Path, results: list[Result], summary: Summary) -> None:
+def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
     table, parameters = results_table(results), parameters_table(results)
     rounded = table.infer_objects().round({"rise_percent": 2, "seconds": 2}).round(4)
     rounded.to_csv(folder / "results.csv", index=False)
     parameters.to_csv(folder / "parameters.csv", index=False)
-    write_text(folder / "metrics.json", summary.model_dump_json(indent=1) + "\n")
+    plain = json.dumps(summary, indent=1, default=Proportion.model_dump)
+    write_text(folder / "metrics.json", plain + "\n")
     figures: dict[str, Figure] = {
         "confusion": confusion_figure(table),
         "detection": detection_figure(table),
@@ -182,14 +184,14 @@ def _save(folder: Path, results: list[Result], summary: Summary) -> None:
     write_text(folder / "report.md", f"# Hidden effects\n\n{tables}\n{pictures}\n")
 
 
-def _tracked(summary: Summary) -> dict[str, float]:
+def _tracked(summary: dict[str, Any]) -> dict[str, float]:
     proportions = {
-        "single_found": summary.single[CLEAR]["found"],
-        "single_named_first": summary.single[CLEAR]["named_first"],
-        "pair_exact": summary.pair["exact"],
-        "triple_exact": summary.triple["exact"],
-        "outside_not_named": summary.outside["not_named"],
-        "clean_accused": summary.clean["accused"],
-        "intervals_covered": summary.covered,
+        "single_found": summary["single"][CLEAR]["found"],
+        "single_named_first": summary["single"][CLEAR]["named_first"],
+        "pair_exact": summary["pair"]["exact"],
+        "triple_exact": summary["triple"]["exact"],
+        "outside_not_named": summary["outside"]["not_named"],
+        "clean_accused": summary["clean"]["accused"],
+        "intervals_covered": summary["covered"],
     }
     return {name: one.share for name, one in proportions.items() if one.share is not None}

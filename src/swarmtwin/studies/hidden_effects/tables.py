@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rich import box
 from rich.table import Table
 
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, SILENCE, Proportion, Proportions, Summary
+from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, SILENCE, Proportion, Proportions
 
 
 @dataclass(frozen=True)
@@ -33,10 +34,10 @@ class StudyTable:
         return f"## {self.title}\n\n{cells}\n"
 
 
-def study_tables(summary: Summary) -> Iterator[StudyTable]:
+def study_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
     """Return all tables, the most important first."""
     yield _marks_table(summary)
-    bins = {"all": summary.single, **summary.single_by_robot, **summary.single_by_cause}
+    bins = {"all": summary["single"], **summary["single_by_robot"], **summary["single_by_cause"]}
     yield StudyTable(
         "One effect, by how much it raises the error",
         ("effect", *(f"{name}: found, named first" for name in RISE_BINS), "listed"),
@@ -47,7 +48,7 @@ def study_tables(summary: Summary) -> Iterator[StudyTable]:
         ("session", "cause named", "at most (95 %)", "alarmed", "error raised"),
         [
             [name, _few(own["accused"]), f"{own['accused'].at_most:.1%}", _few(own["alarmed"]), _few(own["harmed"])]
-            for name, own in {"all": summary.clean, **summary.clean_by_variety}.items()
+            for name, own in {"all": summary["clean"], **summary["clean_by_variety"]}.items()
         ],
     )
     yield StudyTable(
@@ -55,7 +56,7 @@ def study_tables(summary: Summary) -> Iterator[StudyTable]:
         ("effect", "found", "no name given", "not said to be explained"),
         [
             [name, *(_few(own[column]) for column in SILENCE)]
-            for name, own in {"all": summary.outside, **summary.outside_by_effect}.items()
+            for name, own in {"all": summary["outside"], **summary["outside_by_effect"]}.items()
         ],
     )
     yield StudyTable(
@@ -64,57 +65,60 @@ def study_tables(summary: Summary) -> Iterator[StudyTable]:
         [
             [
                 name,
-                str(own.count),
-                f"{own.median_error:.3g} {own.unit}".strip(),
-                _percent(own.median_error_percent, 1.0),
-                _percent(own.median_error_of_change_percent, 1.0),
-                _few(own.covered),
+                str(own["count"]),
+                f"{own['median_error']:.3g} {own['unit']}".strip(),
+                _percent(own["median_error_percent"], 1.0),
+                _percent(own["median_error_of_change_percent"], 1.0),
+                _few(own["covered"]),
             ]
-            for name, own in sorted(summary.parameters.items())
+            for name, own in sorted(summary["parameters"].items())
         ],
     )
     yield StudyTable(
         "Median share of the achievable gain, error up by 10 % or more",
         ("effect", "cases", "diagnosis", "black box", "to the floor: diagnosis", "black box"),
         [
-            [name, str(own.count), *(_percent(share) for column, share in own if column != "count")]
-            for name, own in {"all": summary.gain, **summary.gain_by_cause}.items()
+            [name, str(own["count"]), *(_percent(share) for column, share in own.items() if column != "count")]
+            for name, own in {"all": summary["gain"], **summary["gain_by_cause"]}.items()
         ],
     )
-    if len(summary.methods) > 1:
+    if len(summary["methods"]) > 1:
         yield StudyTable(
             "Beside other methods (effects that raise the error by 10 % or more)",
             ("method", "named first", "and no other", "clean accused", "outside: no name"),
-            [[name, *map(str, own.values())] for name, own in summary.methods.items()],
+            [[name, *map(str, own.values())] for name, own in summary["methods"].items()],
         )
 
 
-def _marks_table(summary: Summary) -> StudyTable:
+def _marks_table(summary: dict[str, Any]) -> StudyTable:
     """Return the figures that matter, each beside its 95 % interval and the mark set for it."""
-    clear, middle, clean, gain = summary.single[CLEAR], summary.single[MIDDLE], summary.clean, summary.gain
+    median_s, longest_s = summary["median_seconds"], summary["longest_seconds"]
+    clear, middle, clean, gain = summary["single"][CLEAR], summary["single"][MIDDLE], summary["clean"], summary["gain"]
     rows = [
         _marked("one effect, error up by ≥ 10 %: found", clear["found"], "≥ 99 %"),
         _marked("  named first", clear["named_first"], "≥ 95 %"),
         _marked("  named, or listed as rival", clear["listed"], "≥ 99 %"),
         _marked("one effect, up by 3 to 10 %: named first", middle["named_first"], "≥ 85 %"),
-        _marked("two effects: exactly these", summary.pair["exact"], "≥ 85 %"),
-        _marked("three effects: exactly these", summary.triple["exact"], "≥ 60 %"),
-        _marked("not in the catalogue: no name given", summary.outside["not_named"], "≥ 95 %"),
-        _marked("  not said to be explained", summary.outside["not_explained"], ""),
+        _marked("two effects: exactly these", summary["pair"]["exact"], "≥ 85 %"),
+        _marked("three effects: exactly these", summary["triple"]["exact"], "≥ 60 %"),
+        _marked("not in the catalogue: no name given", summary["outside"]["not_named"], "≥ 95 %"),
+        _marked("  not said to be explained", summary["outside"]["not_explained"], ""),
         _marked("nothing wrong: a cause named", clean["accused"], "≤ 1 %"),
         _marked("  alarmed, with or without a name", clean["alarmed"], ""),
         _marked("  error raised by 0.5 % or more", clean["harmed"], "0"),
-        _marked("95 % intervals that hold the truth", summary.covered, "92 to 98 %"),
-        _marked("diagnoses that failed", summary.failed, "0"),
-        ["parameters: median error", _percent(summary.median_parameter_error_percent, 1.0), "", "≤ 3 %"],
-        ["gain, of what the effect brought: median", _percent(gain.diagnosis), "", "≥ 95 %"],
-        ["  of all error above the exact mean's", _percent(gain.diagnosis_to_floor), "", ""],
-        ["rivals that a named cause has: mean", _number(summary.rivals_a_cause), "", ""],
-        ["mean confidence of the first cause", _percent(summary.mean_confidence), "", ""],
-        _marked("  how often it is right", summary.first_right, ""),
-        ["seconds a diagnosis: median, most", f"{summary.median_seconds:.1f}, {summary.longest_seconds:.1f}", "", ""],
+        _marked("95 % intervals that hold the truth", summary["covered"], "92 to 98 %"),
+        _marked("diagnoses that failed", summary["failed"], "0"),
+        ["parameters: median error", _percent(summary["median_parameter_error_percent"], 1.0), "", "≤ 3 %"],
+        ["gain, of what the effect brought: median", _percent(gain["diagnosis"]), "", "≥ 95 %"],
+        ["  of all error above the exact mean's", _percent(gain["diagnosis_to_floor"]), "", ""],
+        ["rivals that a named cause has: mean", _number(summary["rivals_a_cause"]), "", ""],
+        ["mean confidence of the first cause", _percent(summary["mean_confidence"]), "", ""],
+        _marked("  how often it is right", summary["first_right"], ""),
+        ["seconds a diagnosis: median, most", f"{median_s:.1f}, {longest_s:.1f}", "", ""],
     ]
-    return StudyTable(f"{summary.cases:,} hidden and clean sessions", ("", "measured", "95 % interval", "mark"), rows)
+    return StudyTable(
+        f"{summary['cases']:,} hidden and clean sessions", ("", "measured", "95 % interval", "mark"), rows
+    )
 
 
 def _marked(name: str, share: Proportion, mark: str) -> list[str]:
