@@ -78,9 +78,8 @@ def detection_figure(results: pd.DataFrame) -> Figure:
             if rates:
                 value, low, high = np.array([(rate.share, rate.low, rate.high) for _, rate in rates], float).T
                 around = np.clip([value - low, high - value], 0.0, None)
-                dots = {"marker": "o", "markersize": 4, "capsize": 2}
                 at = [middle for middle, _ in rates]
-                axes.errorbar(at, value, yerr=around, color=colour, linestyle=line, label=label, **dots)
+                axes.errorbar(at, value, around, fmt=f"o{line}", color=colour, label=label, markersize=4, capsize=2)
         axes.set(xscale="log", ylim=(-0.02, 1.02), ylabel="share of sessions, 95 % interval")
         axes.set_xticks(ticks_percent, [f"{tick:g}" for tick in ticks_percent])
         axes.minorticks_off()
