@@ -186,22 +186,22 @@ def clean(robot: Robot, plan: Plan, variety: str, index: int) -> Case:
     rng = plan.rng("clean", variety, robot.name, index)
     runs, steps = plan.runs, plan.steps
     others = [str(vehicle) for vehicle in rng.permutation(np.arange(2, 7))]
-    about: dict[str, Any] = {}
+    about: dict[str, Any] = {"runs": runs, "steps": steps}
     match variety:
         case "gentle" | "held" | "waypoints":
-            about = {"manner": variety}
+            about |= {"manner": variety}
         case "short_runs":
-            about = {"runs": 2 * runs, "steps": max(2, steps // 2)}
+            about |= {"runs": 2 * runs, "steps": max(2, steps // 2)}
         case "long_runs":
-            about = {"runs": max(2, runs // 3), "steps": 3 * steps}
+            about |= {"runs": max(2, runs // 3), "steps": 3 * steps}
         case "few_runs":
-            about = {"runs": max(2, round(runs * float(rng.uniform(0.25, 0.5))))}
+            about |= {"runs": max(2, round(runs * float(rng.uniform(0.25, 0.5))))}
         case "pose_noise":
-            about = {"pose_noise": round(float(rng.uniform(2.0, 3.0)), 3)}
+            about |= {"pose_noise": round(float(rng.uniform(2.0, 3.0)), 3)}
         case "other_vehicle":
-            about = {"vehicles": (others[0],)}
+            about |= {"vehicles": (others[0],)}
         case "several_vehicles":
             vehicles = ("1", *others[: int(rng.integers(1, 3))])
-            about = {"vehicles": vehicles, "runs": max(2, runs // len(vehicles))}
-    what = {"kind": "clean", "variety": variety, "robot": robot.name, "effects": ()}
-    return Case(**{**what, "runs": runs, "steps": steps, **about, **plan.at_last(rng)})
+            about |= {"vehicles": vehicles, "runs": max(2, runs // len(vehicles))}
+    about |= plan.at_last(rng)
+    return Case(kind="clean", variety=variety, robot=robot.name, effects=(), **about)

@@ -71,6 +71,11 @@ class Options(StrictModel):
     output: Path
     overwrite: bool
 
+    @property
+    def plan(self) -> Plan:
+        """What all cases are drawn from."""
+        return Plan(seed=self.seed, runs=self.runs, steps=self.steps, references=self.references)
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -117,13 +122,12 @@ def run(options: Options) -> None:
     robots = [Robot.load(config_folder() / "robot" / f"{name}.yaml") for name in dict.fromkeys(options.robots)]
     for robot in robots:
         require_stand_in(robot)
-    plan = Plan(seed=options.seed, runs=options.runs, steps=options.steps, references=options.references)
-    cases = draw_cases(robots, plan, options.count, options.cases)
+    cases = draw_cases(robots, options.plan, options.count, options.cases)
     if not cases:
         raise UserError("no case is left: give more kinds in cases=[...]")
     with tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, keep_partial=True) as folder:
-            results = _results(options, robots, plan, cases, folder / "results.jsonl")
+            results = _results(options, robots, cases, folder / "results.jsonl")
             summary = summarise(results)
             _save(folder, results, summary)
         tracked.metrics(_tracked(summary))
@@ -134,7 +138,7 @@ def run(options: Options) -> None:
     console.print(f"tables and pictures: {options.output}", highlight=False, soft_wrap=True)
 
 
-def _results(options: Options, robots: list[Robot], plan: Plan, cases: list[Case], file: Path) -> list[Result]:
+def _results(options: Options, robots: list[Robot], cases: list[Case], file: Path) -> list[Result]:
     """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
     known = read_results(file, cases)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -147,19 +151,16 @@ def _results(options: Options, robots: list[Robot], plan: Plan, cases: list[Case
             bar.advance(task)
 
         missing = [case for case in cases if case.key not in known]
-        batches = list(_batches(options, robots, plan, missing))
-        run_side_by_side(batches, keep, options.processes)
+        run_side_by_side(list(_batches(options, robots, missing)), keep, options.processes)
     return [known[case.key] for case in cases]
 
 
-def _batches(
-    options: Options, robots: list[Robot], plan: Plan, cases: list[Case], largest: int = 16
-) -> Iterator[Batch]:
+def _batches(options: Options, robots: list[Robot], cases: list[Case], largest: int = 16) -> Iterator[Batch]:
     """Put cases of one robot and reference together, `largest` at most: more would leave processes idle in the end."""
     for robot in robots:
-        for number in range(plan.references):
+        for number in range(options.references):
             own = [case for case in cases if case.robot == robot.name and case.reference == number]
-            seed = int(plan.rng("reference", robot.name, number).integers(2**31))
+            seed = int(options.plan.rng("reference", robot.name, number).integers(2**31))
             for first in range(0, len(own), largest):
                 yield Batch(robot, options.reference, seed, tuple(own[first : first + largest]), options.baselines)
 
@@ -169,8 +170,7 @@ def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
     rounded = table.infer_objects().round({"rise_percent": 2, "seconds": 2}).round(4)
     rounded.to_csv(folder / "results.csv", index=False)
     parameters.to_csv(folder / "parameters.csv", index=False)
-    plain = json.dumps(summary, indent=1, default=Proportion.model_dump)
-    write_text(folder / "metrics.json", plain + "\n")
+    write_text(folder / "metrics.json", json.dumps(summary, indent=1, default=Proportion.model_dump) + "\n")
     figures: dict[str, Figure] = {
         "confusion": confusion_figure(table),
         "detection": detection_figure(table),

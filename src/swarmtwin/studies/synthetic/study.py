@@ -30,10 +30,9 @@ from swarmtwin.recordings.reading import read_recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, measure
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.studies.synthetic.cases import Amount, Case, TrainingSets, chosen_cases
 from swarmtwin.studies.synthetic.table import ERRORS, case_table, cases_figure
+from swarmtwin.studies.synthetic.trainings import Amount, Case, Training, TrainingSets, chosen_cases
 from swarmtwin.tracking.runs import tracked_run
-from swarmtwin.transitions import Preparation
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
 
 Count = Annotated[int, Field(ge=1)]
@@ -67,45 +66,6 @@ class Options(StrictModel):
     def recordings(self) -> dict[str, Path]:
         """The recordings to measure on, by what they are for."""
         return {"train_vehicle": self.train_vehicle, "other_vehicle": self.other_vehicle}
-
-
-@dataclass(frozen=True)
-class Training:
-    """A case to train.
-
-    Attributes:
-        name: the case's.
-        case: what is trained on what.
-        preparation: how the transitions came about that it learns from.
-        jobs: one a seed.
-    """
-
-    name: str
-    case: Case
-    preparation: Preparation
-    jobs: tuple[TrainingJob, ...]
-
-    @property
-    def inputs(self) -> str:
-        """What the model is given: parts of the situation, and the walls."""
-        config, robot = self.jobs[0].config, self.jobs[0].transitions.robot
-        inputs = config.inputs(robot)
-        return ", ".join((*inputs, "walls") if config.wall_reaches and "pose" in inputs else inputs)
-
-    @property
-    def steps(self) -> int:
-        """How many optimiser steps each takes."""
-        job = self.jobs[0]
-        rows = len(job.transitions.part("train"))
-        return (job.recipe.epochs or 0) * (rows // min(job.recipe.batch_size, rows))
-
-    @property
-    def real_rows(self) -> int:
-        """How many real transitions its model, or the generator that it learns from, was trained on and chosen by."""
-        counts, generator = self.preparation.transitions, self.preparation.generator
-        if generator and self.case.source != "mixture":
-            return generator.real_transitions
-        return round(self.case.real_share * (counts["train"] + counts["validation"]))
 
 
 @dataclass(frozen=True)
@@ -155,12 +115,8 @@ def _trainings(options: Options, cases: dict[str, Case]) -> Iterator[Training]:
     configs = {name: model_config(getattr(options, name), name) for name in ("crnet", "mlp", "ensemble")}
     generators = {name: generator_config(getattr(options, name), name) for name in ("generator", "published")}
     real = prepared_transitions(options.transitions, options.robot)
-    amounts: dict[Amount, int | None] = {
-        "all": None,
-        "part": round(options.part * len(real[0])),
-        "few": options.few,
-    }
-    sets = TrainingSets(real, amounts, options.synthetic, generators, options.generators, options.seed)
+    less: dict[Amount, int] = {"part": round(options.part * len(real[0])), "few": options.few}
+    sets = TrainingSets(real, less, options.synthetic, generators, options.generators, options.seed)
     for name, case in cases.items():
         transitions, preparation = sets.of(case)
         config = configs[case.model]
