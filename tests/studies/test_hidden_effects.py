@@ -1,10 +1,13 @@
 """The study of hidden effects: planted results give planted figures, and wrong names count as wrong."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from case_results import result
+from swarmtwin.diagnosis.result import Estimate
 from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.errors import UserError
 from swarmtwin.standin.effect import Placement
@@ -26,7 +29,6 @@ from swarmtwin.studies.hidden_effects.outside_effects import EFFECTS, SwappedWhe
 from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     HeldOutGain,
-    ParameterEstimate,
     append_result,
     read_results,
     results_table,
@@ -127,26 +129,32 @@ def test_a_failed_diagnosis_is_no_success_of_any_kind():
     assert not summary["pair"]["exact"].count
 
 
-def parameter(name, true, value, half):
-    return ParameterEstimate(
-        cause="gain_change", name=name, true=true, value=value, low=value - half, high=value + half, unit=""
-    )
+def measured_parameter(name, true, value, half):
+    """A result in which a parameter of a gain change is true, and said to be a value, give or take half an interval."""
+    planted = result("single", "gain_change", ["gain_change"])
+    estimate = Estimate(value=value, low=value - half, high=value + half, unit="")
+    (cause,) = planted.causes
+    causes = (cause.model_copy(update={"parameters": {name: estimate}}),)
+    case = planted.case.model_copy(update={"effects": ({"name": "gain_change", name: true},)})
+    return planted.model_copy(update={"case": case, "causes": causes})
 
 
 def test_parameter_errors_and_coverage():
-    found = (
-        parameter("gain", 0.8, 0.82, 0.03),
-        parameter("gain", 1.2, 1.26, 0.03),
-        parameter("gain", 0.5, 0.5, 0.01),
-        parameter("direction_rad", 0.0, 0.2, 0.3),
+    summary = summarise(
+        [
+            measured_parameter("gain", 0.8, 0.82, 0.03),
+            measured_parameter("gain", 1.2, 1.26, 0.03),
+            measured_parameter("gain", 0.5, 0.5, 0.01),
+            measured_parameter("direction_rad", 2 * math.pi, 0.2, 0.3),
+        ]
     )
-    summary = summarise([result("single", "gain_change", ["gain_change"], parameters=found)])
     gain = summary["parameters"]["gain_change.gain"]
     assert gain["count"] == 3
     assert gain["median_error"] == pytest.approx(0.02)
     assert gain["median_error_percent"] == pytest.approx(2.5)
     assert gain["median_error_of_change_percent"] == pytest.approx(10.0)
     assert (gain["covered"].count, gain["covered"].total) == (2, 3)
+    assert summary["parameters"]["gain_change.direction_rad"]["median_error"] == pytest.approx(0.2)
     assert summary["parameters"]["gain_change.direction_rad"]["median_error_percent"] is None
     assert summary["median_parameter_error_percent"] == pytest.approx(2.5)
     assert (summary["covered"].count, summary["covered"].total) == (3, 4)

@@ -1,36 +1,17 @@
 """What came of each case: a line in a file that an interrupted study continues, and the tables made of all of them."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from swarmtwin.diagnosis.result import Verdict
+from swarmtwin.diagnosis.result import Cause, Estimate, Verdict
+from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.hidden_effects.cases import Case
-
-
-class Suspect(StrictModel):
-    """A cause that was named, and those that the session cannot tell from it."""
-
-    name: str
-    rivals: tuple[str, ...] = ()
-    confidence: float = 1.0
-    share_of_gap: float = 1.0
-
-
-class ParameterEstimate(StrictModel):
-    """A parameter of a cause that was named and true: what it is, and what was said of it with a 95 % interval."""
-
-    cause: str
-    name: str
-    true: float
-    value: float
-    low: float
-    high: float
-    unit: str
 
 
 class HeldOutGain(StrictModel):
@@ -78,7 +59,6 @@ class Result(StrictModel):
         verdict: of the diagnosis; null where it failed.
         failure: why it failed.
         causes: in the order named.
-        parameters: of the causes that are true.
         depends_on: what the residual depended on.
         gained: by the extended simulation.
         baselines: null where they were left out.
@@ -89,8 +69,7 @@ class Result(StrictModel):
     rise_percent: float
     verdict: Verdict | None = None
     failure: str | None = None
-    causes: tuple[Suspect, ...] = ()
-    parameters: tuple[ParameterEstimate, ...] = ()
+    causes: tuple[Cause, ...] = ()
     depends_on: tuple[str, ...] = ()
     gained: HeldOutGain | None = None
     baselines: Baselines | None = None
@@ -158,12 +137,8 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
     `covered` says whether the 95 % interval holds the true value.
     """
-    rows = [
-        {"robot": result.case.robot, "kind": result.case.kind, "seed": result.case.seed, **parameter.model_dump()}
-        for result in results
-        for parameter in result.parameters
-    ]
-    table = pd.DataFrame(rows, columns=["robot", "kind", "seed", *ParameterEstimate.model_fields])
+    about, said = ["robot", "kind", "seed", "cause", "name", "true"], list(Estimate.model_fields)
+    table = pd.DataFrame([row for result in results for row in _parameters(result)], columns=[*about, *said])
     true = table.true.astype(float)
     has_size = ~table.name.isin(["angle_rad", "direction_rad", "x_mm", "y_mm", "forward_mm", "left_mm"]) & (true != 0)
     is_factor = table.name.isin(["gain", "scale", "ratio", "factor"])
@@ -172,6 +147,21 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
     table["covered"] = table.true.between(table.low, table.high)
     return table
+
+
+def _parameters(result: Result) -> Iterator[dict[str, Any]]:
+    """Return what is said of the parameters of the causes that are true, beside what they are."""
+    case = result.case
+    effects = {effect["name"]: effect for effect in case.effects if effect["name"] in case.true_names}
+    for cause in result.causes:
+        for name, estimate in cause.parameters.items():
+            true = effects.get(cause.name, {}).get(name)
+            if true is None:
+                continue
+            if name == "direction_rad":  # the same direction, as near to what is said as it can be told
+                true = estimate.value + float(wrap_angle(np.array(true - estimate.value)))
+            about = {"robot": case.robot, "kind": case.kind, "seed": case.seed, "cause": cause.name, "name": name}
+            yield {**about, "true": true, **estimate.model_dump()}
 
 
 def append_result(path: Path, result: Result) -> None:

@@ -1,22 +1,20 @@
 """Diagnoses one case, and compares what is said with what only the stand-in knows."""
 
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from swarmtwin.diagnosis.diagnose import diagnose
 from swarmtwin.diagnosis.reference import Reference
-from swarmtwin.diagnosis.result import DiagnosisResult
 from swarmtwin.dynamics.evaluation import ErrorFigure, predict
-from swarmtwin.geometry import orientation_error_rad, position_error_mm, wrap_angle
+from swarmtwin.geometry import orientation_error_rad, position_error_mm
 from swarmtwin.robot import Robot
 from swarmtwin.studies.hidden_effects.baselines.black_box import learned_residual
 from swarmtwin.studies.hidden_effects.baselines.correlation_rules import suggested_cause
 from swarmtwin.studies.hidden_effects.baselines.parameter_fitting import fitted_causes
 from swarmtwin.studies.hidden_effects.cases import Case
-from swarmtwin.studies.hidden_effects.results import Baselines, HeldOutGain, ParameterEstimate, Result, Suspect
+from swarmtwin.studies.hidden_effects.results import Baselines, HeldOutGain, Result
 from swarmtwin.studies.hidden_effects.sessions import clean_twin, measure
 
 
@@ -79,8 +77,7 @@ def score_case(case: Case, robot: Robot, reference: Reference, with_baselines: b
         case=case,
         rise_percent=rise,
         verdict=said.verdict,
-        causes=tuple(Suspect(**cause.model_dump(include=set(Suspect.model_fields))) for cause in said.causes),
-        parameters=tuple(compared_parameters(case, said)),
+        causes=said.causes,
         depends_on=said.depends_on,
         gained=_gain(known, twin, predict(diagnosed.extended or diagnosed.simulation, transitions), held_out),
         baselines=baselines,
@@ -115,16 +112,3 @@ def _gain(
     return HeldOutGain(
         before_mm=before_mm, after_mm=after_mm, least_mm=least_mm, share=share, share_to_floor=share_to_floor
     )
-
-
-def compared_parameters(case: Case, diagnosis: DiagnosisResult) -> Iterator[ParameterEstimate]:
-    """Return what is said of the parameters of the causes that are true, beside what they are."""
-    effects = {effect["name"]: effect for effect in case.effects if effect["name"] in case.true_names}
-    for cause in diagnosis.causes:
-        for name, estimate in cause.parameters.items():
-            true = effects.get(cause.name, {}).get(name)
-            if true is None:
-                continue
-            if name == "direction_rad":  # the same direction, as near to what is said as it can be told
-                true = estimate.value + float(wrap_angle(np.array(true - estimate.value)))
-            yield ParameterEstimate(cause=cause.name, name=name, true=true, **estimate.model_dump())
