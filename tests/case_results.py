@@ -1,7 +1,8 @@
 """Results of the study of hidden effects, made up: what is hidden and what is named are known."""
 
+from swarmtwin.diagnosis.result import Cause
 from swarmtwin.studies.hidden_effects.cases import Case
-from swarmtwin.studies.hidden_effects.results import HeldOutGain, Result, Suspect
+from swarmtwin.studies.hidden_effects.results import HeldOutGain, Result
 
 
 def result(kind, hidden, named=(), rise=20.0, verdict=None, rivals=(), **about):
@@ -16,9 +17,9 @@ def result(kind, hidden, named=(), rise=20.0, verdict=None, rivals=(), **about):
         steps=10,
         seed=about.pop("seed", 1),
     )
-    causes = tuple(Suspect(name=name, rivals=rivals) for name in named)
+    said = {"parameters": {}, "confidence": 1.0, "share_of_gap": 1.0, "evidence": ""}
+    causes = tuple(Cause(name=name, rivals=rivals, **said) for name in named)
     usual = {
-        "parameters": (),
         "depends_on": (),
         "failure": None,
         "baselines": None,

@@ -54,6 +54,13 @@ def orientation_error_rad(predicted: Array, measured: Array) -> Array:
     return xp.abs(wrap_angle(predicted[..., 2] - measured[..., 2]))
 
 
+def residual_between(predicted: Array, measured: Array) -> Array:
+    """Return measured minus predicted displacements or poses (..., 3), turns wrapped."""
+    xp = array_namespace(predicted, measured)
+    turn = wrap_angle(measured[..., 2] - predicted[..., 2])
+    return xp.concat([measured[..., :2] - predicted[..., :2], turn[..., None]], axis=-1)
+
+
 def integrate_twist(twist: Array, duration_s: float) -> Array:
     """Return the displacements (..., 3) after `duration_s` at constant body velocities: arcs of circles.
 

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from swarmtwin.errors import UserError
-from swarmtwin.studies.synthetic.cases import CASES, chosen_cases
+from swarmtwin.studies.synthetic.trainings import CASES, chosen_cases
 
 EXPERIMENT = (
     "experiment",
@@ -60,7 +60,7 @@ def test_a_trained_generator_is_taken_where_there_is_one(swarmtwin, workshop, mo
     def refuse(*arguments):
         raise AssertionError("trained anew")
 
-    monkeypatch.setattr("swarmtwin.studies.synthetic.cases.fit", refuse)
+    monkeypatch.setattr("swarmtwin.studies.synthetic.trainings.fit", refuse)
     assert swarmtwin(*EXPERIMENT, "cases=[mlp_generator]", "output=out").status == 0
 
 

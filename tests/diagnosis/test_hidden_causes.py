@@ -10,7 +10,8 @@ from hidden_sessions import SEED, hidden, learned, nothing_hidden
 from scipy import stats
 
 from swarmtwin.diagnosis.diagnose import diagnose
-from swarmtwin.studies.hidden_effects.cases import CATALOGUE, OUTSIDE, VARIETIES, Case
+from swarmtwin.studies.hidden_effects.cases import VARIETIES, Case
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE
 from swarmtwin.studies.hidden_effects.sessions import measure
 
 CLEAR = 0.85
@@ -27,8 +28,8 @@ def drawn(names, count, number):
     return [str(name) for name in np.random.default_rng([SEED, number]).permutation(sorted(names))[:count]]
 
 
-def known_to(recipes, robot):
-    return [name for name, recipe in recipes.items() if robot in recipe.sizes]
+def known_to(effects, robot):
+    return [name for name, sizes in effects.items() if robot in sizes]
 
 
 @pytest.fixture(scope="module")

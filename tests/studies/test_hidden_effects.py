@@ -1,15 +1,18 @@
 """The study of hidden effects: planted results give planted figures, and wrong names count as wrong."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from case_results import result
+from swarmtwin.diagnosis.result import Estimate
+from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.errors import UserError
 from swarmtwin.standin.effect import Placement
 from swarmtwin.standin.effects import catalogue
 from swarmtwin.studies.hidden_effects.cases import (
-    CATALOGUE,
     KINDS,
     VARIETIES,
     CaseCounts,
@@ -19,19 +22,19 @@ from swarmtwin.studies.hidden_effects.cases import (
     one_effect,
     several_effects,
 )
-from swarmtwin.studies.hidden_effects.cases import OUTSIDE as OUTSIDE_SIZES
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE, PARAMETERS
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
-from swarmtwin.studies.hidden_effects.outside_catalogue import OUTSIDE, SwappedWheels, WarmUp
+from swarmtwin.studies.hidden_effects.outside_effects import EFFECTS, SwappedWheels, WarmUp
 from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     HeldOutGain,
-    ParameterEstimate,
     append_result,
     read_results,
     results_table,
 )
-from swarmtwin.studies.hidden_effects.sessions import MeanErrors, clean_twin, effects_of, measure
+from swarmtwin.studies.hidden_effects.scoring import rise_percent
+from swarmtwin.studies.hidden_effects.sessions import clean_twin, effects_of, measure
 from swarmtwin.studies.hidden_effects.tables import study_tables
 
 PLAN = Plan(seed=5, runs=12, steps=20, references=2)
@@ -52,7 +55,7 @@ def test_planted_names_give_planted_rates():
         result("single", "command_delay", verdict="unexplained", rise=1.0),
     ]
     summary = summarise(results)
-    clear = summary.single[CLEAR]
+    clear = summary["single"][CLEAR]
     assert (clear["found"].count, clear["named_first"].count, clear["listed"].count, clear["exact"].count) == (
         10,
         7,
@@ -60,13 +63,13 @@ def test_planted_names_give_planted_rates():
         7,
     )
     assert clear["found"].total == 10
-    middle = summary.single["3 to 10 %"]
+    middle = summary["single"]["3 to 10 %"]
     assert (middle["named_first"].count, middle["exact"].count, middle["found"].total) == (1, 0, 1)
-    faint = summary.single["below 3 %"]
+    faint = summary["single"]["below 3 %"]
     assert (faint["found"].count, faint["named_first"].count, faint["listed"].count) == (1, 0, 0)
-    assert summary.single_by_cause["gain_change"][CLEAR]["named_first"].share == pytest.approx(0.7)
-    assert (summary.first_right.count, summary.first_right.total) == (8, 11)
-    assert summary.rivals_a_cause == pytest.approx(1 / 12)
+    assert summary["single_by_cause"]["gain_change"][CLEAR]["named_first"].share == pytest.approx(0.7)
+    assert (summary["first_right"].count, summary["first_right"].total) == (8, 11)
+    assert summary["rivals_a_cause"] == pytest.approx(1 / 12)
 
 
 def test_two_at_once_must_be_exactly_these():
@@ -78,10 +81,10 @@ def test_two_at_once_must_be_exactly_these():
         result("pair", pair, ["saturation", "marker_yaw"], rivals=("dead_band",)),
     ]
     summary = summarise(results)
-    assert summary.pair["exact"].count == 1
-    assert summary.pair["listed"].count == 3
-    assert summary.pair["named_first"].count == 3
-    assert summary.triple["exact"].share is None
+    assert summary["pair"]["exact"].count == 1
+    assert summary["pair"]["listed"].count == 3
+    assert summary["pair"]["named_first"].count == 3
+    assert summary["triple"]["exact"].share is None
 
 
 def test_silence_is_right_where_nothing_is_wrong_and_where_there_is_no_name():
@@ -97,13 +100,17 @@ def test_silence_is_right_where_nothing_is_wrong_and_where_there_is_no_name():
         result("outside", "bowl"),
     ]
     summary = summarise(results)
-    assert (summary.clean["accused"].count, summary.clean["alarmed"].count, summary.clean["harmed"].count) == (1, 2, 1)
-    assert summary.clean["accused"].total == 100
-    assert summary.clean_by_variety["gentle"]["accused"].share == pytest.approx(0.5)
-    assert summary.worst_harm_percent == pytest.approx(1.0)
-    assert summary.outside["not_named"].count == 2
-    assert summary.outside["not_explained"].count == 3
-    assert summary.outside["found"].count == 3
+    assert (summary["clean"]["accused"].count, summary["clean"]["alarmed"].count, summary["clean"]["harmed"].count) == (
+        1,
+        2,
+        1,
+    )
+    assert summary["clean"]["accused"].total == 100
+    assert summary["clean_by_variety"]["gentle"]["accused"].share == pytest.approx(0.5)
+    assert summary["worst_harm_percent"] == pytest.approx(1.0)
+    assert summary["outside"]["not_named"].count == 2
+    assert summary["outside"]["not_explained"].count == 3
+    assert summary["outside"]["found"].count == 3
 
 
 def test_a_failed_diagnosis_is_no_success_of_any_kind():
@@ -114,37 +121,43 @@ def test_a_failed_diagnosis_is_no_success_of_any_kind():
         result("pair", "dead_band+marker_yaw").model_copy(update=failed),
     ]
     summary = summarise(results)
-    assert summary.failed.count == 3
-    assert not summary.single[CLEAR]["found"].count
-    assert not summary.single[CLEAR]["exact"].count
-    assert not summary.outside["not_named"].count
-    assert not summary.outside["not_explained"].count
-    assert not summary.pair["exact"].count
+    assert summary["failed"].count == 3
+    assert not summary["single"][CLEAR]["found"].count
+    assert not summary["single"][CLEAR]["exact"].count
+    assert not summary["outside"]["not_named"].count
+    assert not summary["outside"]["not_explained"].count
+    assert not summary["pair"]["exact"].count
 
 
-def parameter(name, true, value, half):
-    return ParameterEstimate(
-        cause="gain_change", name=name, true=true, value=value, low=value - half, high=value + half, unit=""
-    )
+def measured_parameter(name, true, value, half):
+    """A result in which a parameter of a gain change is true, and said to be a value, give or take half an interval."""
+    planted = result("single", "gain_change", ["gain_change"])
+    estimate = Estimate(value=value, low=value - half, high=value + half, unit="")
+    (cause,) = planted.causes
+    causes = (cause.model_copy(update={"parameters": {name: estimate}}),)
+    case = planted.case.model_copy(update={"effects": ({"name": "gain_change", name: true},)})
+    return planted.model_copy(update={"case": case, "causes": causes})
 
 
 def test_parameter_errors_and_coverage():
-    found = (
-        parameter("gain", 0.8, 0.82, 0.03),
-        parameter("gain", 1.2, 1.26, 0.03),
-        parameter("gain", 0.5, 0.5, 0.01),
-        parameter("direction_rad", 0.0, 0.2, 0.3),
+    summary = summarise(
+        [
+            measured_parameter("gain", 0.8, 0.82, 0.03),
+            measured_parameter("gain", 1.2, 1.26, 0.03),
+            measured_parameter("gain", 0.5, 0.5, 0.01),
+            measured_parameter("direction_rad", 2 * math.pi, 0.2, 0.3),
+        ]
     )
-    summary = summarise([result("single", "gain_change", ["gain_change"], parameters=found)])
-    gain = summary.parameters["gain_change.gain"]
-    assert gain.count == 3
-    assert gain.median_error == pytest.approx(0.02)
-    assert gain.median_error_percent == pytest.approx(2.5)
-    assert gain.median_error_of_change_percent == pytest.approx(10.0)
-    assert (gain.covered.count, gain.covered.total) == (2, 3)
-    assert summary.parameters["gain_change.direction_rad"].median_error_percent is None
-    assert summary.median_parameter_error_percent == pytest.approx(2.5)
-    assert (summary.covered.count, summary.covered.total) == (3, 4)
+    gain = summary["parameters"]["gain_change.gain"]
+    assert gain["count"] == 3
+    assert gain["median_error"] == pytest.approx(0.02)
+    assert gain["median_error_percent"] == pytest.approx(2.5)
+    assert gain["median_error_of_change_percent"] == pytest.approx(10.0)
+    assert (gain["covered"].count, gain["covered"].total) == (2, 3)
+    assert summary["parameters"]["gain_change.direction_rad"]["median_error"] == pytest.approx(0.2)
+    assert summary["parameters"]["gain_change.direction_rad"]["median_error_percent"] is None
+    assert summary["median_parameter_error_percent"] == pytest.approx(2.5)
+    assert (summary["covered"].count, summary["covered"].total) == (3, 4)
 
 
 def test_other_methods_are_counted_on_the_same_cases():
@@ -157,12 +170,12 @@ def test_other_methods_are_counted_on_the_same_cases():
         result("clean", "plain", baselines=wrong),
     ]
     summary = summarise(results)
-    fitting, rules = summary.methods["parameter fitting"], summary.methods["correlation rules"]
+    fitting, rules = summary["methods"]["parameter fitting"], summary["methods"]["correlation rules"]
     assert (fitting["named_first"].count, fitting["exact"].count, fitting["accused"].count) == (1, 0, 1)
     assert (rules["named_first"].count, rules["exact"].count, rules["accused"].count) == (1, 1, 0)
-    assert summary.methods["diagnosis"]["exact"].count == 2
-    assert summary.gain.black_box == pytest.approx(0.4)
-    assert summary.gain.diagnosis == pytest.approx(0.9)
+    assert summary["methods"]["diagnosis"]["exact"].count == 2
+    assert summary["gain"]["black_box"] == pytest.approx(0.4)
+    assert summary["gain"]["diagnosis"] == pytest.approx(0.9)
     text = "\n".join(table.markdown() for table in study_tables(summary))
     assert "| parameter fitting | 50.0% (1/2) | 0.0% (0/2) | 100.0% (1/1) | – |" in text
 
@@ -180,7 +193,8 @@ def test_bounds_are_those_of_the_books():
 
 def test_every_effect_of_the_catalogue_is_drawn_and_makes_sense(two):
     assert set(CATALOGUE) == set(catalogue())
-    assert set(OUTSIDE) == set(OUTSIDE_SIZES)
+    assert set(OUTSIDE) == set(EFFECTS)
+    assert set(PARAMETERS) == {*CATALOGUE, *OUTSIDE}
     assert len(OUTSIDE) >= 8
     cases = draw_cases(two, PLAN, COUNTS, "all")
     robots = {robot.name: robot for robot in two}
@@ -221,11 +235,12 @@ def test_a_clear_effect_raises_the_error_and_its_twin_has_none(two):
     assert np.array_equal(hidden.footage.time_s, twin.footage.time_s)
     least = [session.least_displacement(session.transitions) for session in (hidden, twin)]
     now, usual = (
-        MeanErrors.of(own, session.transitions.displacement) for own, session in zip(least, (hidden, twin), strict=True)
+        ErrorFigure.between(own, session.transitions.displacement)
+        for own, session in zip(least, (hidden, twin), strict=True)
     )
     assert now.position_mm == pytest.approx(usual.position_mm, rel=0.25)
     wrong = least[0] / case.effects[0]["gain"]
-    assert MeanErrors.of(wrong, hidden.transitions.displacement).rise_percent(usual) > 20
+    assert rise_percent(ErrorFigure.between(wrong, hidden.transitions.displacement), usual) > 20
 
 
 def test_more_pose_noise_is_as_much_as_asked(two):

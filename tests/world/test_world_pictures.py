@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from tiny_worlds import Scripted, one_world, task_named, world_of
 
-from swarmtwin.world.rendering.drawing import COLOURS, Panel, draw, rgb, side_by_side
+from swarmtwin.world.rendering.canvas import COLOURS, Panel, rgb
+from swarmtwin.world.rendering.drawing import draw, side_by_side
 from swarmtwin.world.rendering.frame import Status, frame_of
 from swarmtwin.world.rendering.paths import paths_figure
 from swarmtwin.world.rendering.video import pictures, write_video

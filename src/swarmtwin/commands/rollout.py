@@ -97,7 +97,7 @@ def _rollouts(options: Options, policy: StoredPolicy) -> dict[str, Rollout]:
     rollouts: dict[str, Rollout] = {}
     for motion in options.on:
         if motion == "simulation":
-            simulation, _ = simulation_of(policy, options.simulation, options.robot)
+            simulation = simulation_of(policy, options.simulation, options.robot)
             simulation.to(torch_device(options.device))
             rollouts[motion] = in_simulation(policy, simulation, scenario, options.sampled, options.seed)
         else:

@@ -1,5 +1,6 @@
-"""What a person sees while something is learned or examined: bars that say how far it is, and how good by now."""
+"""What a person sees while something is learned or examined: bars that say how far it is, and no talk of details."""
 
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -42,3 +43,15 @@ def stage_bar(name: str) -> Iterator[Callable[[str, int, int], None]]:
             bars.update(task, completed=done, total=total, stage=stage)
 
         yield report
+
+
+@contextmanager
+def quieter(logger: str, least: int = logging.ERROR) -> Iterator[None]:
+    """Leave out what a logger, and those below it, say of less weight than `least` while the block works."""
+    talking = logging.getLogger(logger)
+    level = talking.level
+    talking.setLevel(least)
+    try:
+        yield
+    finally:
+        talking.setLevel(level)

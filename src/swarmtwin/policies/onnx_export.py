@@ -1,9 +1,6 @@
 """A policy as ONNX: what runs where there is no torch, on the robots' controller."""
 
-import logging
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +11,7 @@ import torch
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import whole_file
+from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.policies.policy import Policy
 
 ONNX = "policy.onnx"
@@ -59,7 +57,8 @@ def check_equal(content: bytes, policy: Policy, largest_difference: float = 1e-5
 def onnx_model(policy: Policy) -> onnx.ModelProto:
     """Return the policy's forward pass as torch exports it; the same policy gives the same bytes."""
     example = torch.zeros(2, len(policy.observation_names))
-    with _quiet_export():
+    # what the export says of libraries that are not installed, and of its own future, is nothing for a user
+    with quieter("torch.onnx"), warnings.catch_warnings(action="ignore"):
         program = torch.onnx.export(
             policy.eval(),
             (example,),
@@ -83,16 +82,3 @@ def _forget_source(model: onnx.ModelProto) -> None:
     for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
         annotated: Any = part
         annotated.ClearField("metadata_props")
-
-
-@contextmanager
-def _quiet_export() -> Iterator[None]:
-    """Keep what the export says of libraries that are not installed and of its own future from the user's screen."""
-    logger = logging.getLogger("torch.onnx")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings(action="ignore"):
-            yield
-    finally:
-        logger.setLevel(level)

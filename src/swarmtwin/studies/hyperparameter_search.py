@@ -1,8 +1,7 @@
 """A search for hyper-parameters of a dynamics model: trials of one Optuna study, trained side by side."""
 
 import logging
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from swarmtwin.dynamics.model_config import ModelConfig, model_config
 from swarmtwin.dynamics.training import train
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.learning.parallel import Report, run_side_by_side
+from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.learning.trainer import Device
 from swarmtwin.learning.tuning import Range, SharedStudy, identity, trials_done
@@ -183,7 +183,7 @@ class _Worker:
         config, recipe = self.search.configured(values)
         settings = {"model": config.model_dump(mode="json"), "recipe": recipe.model_dump(mode="json")}
         name = f"{self.shared.name} trial {trial.number}"
-        with tracked_run("dynamics", name, settings, [source], seed) as tracked, _no_warnings():
+        with tracked_run("dynamics", name, settings, [source], seed) as tracked, quieter("swarmtwin.dynamics"):
             trained = train(transitions, config, recipe, [seed], processes=1, device=self.search.device)
             best = trained.best.history[trained.best.best - 1]
             errors = {
@@ -194,15 +194,3 @@ class _Worker:
         for error, figure in errors.items():
             trial.set_user_attr(error, figure)
         return trained.best.validation_loss
-
-
-@contextmanager
-def _no_warnings() -> Iterator[None]:
-    """Keep trainings from telling what the one line about their trial tells."""
-    training = logging.getLogger("swarmtwin.dynamics")
-    level = training.level
-    training.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        training.setLevel(level)

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from swarmtwin.errors import UserError
@@ -21,8 +20,6 @@ from swarmtwin.world.task import Task
 
 log = logging.getLogger(__name__)
 
-FIRST_VEHICLE = 2
-
 
 def other_vehicles(chosen: Sequence[str] | None, task: Task) -> tuple[str, ...]:
     """Return the stand-ins that play a task: those chosen, or the first ones after vehicle 1, which was recorded.
@@ -32,7 +29,7 @@ def other_vehicles(chosen: Sequence[str] | None, task: Task) -> tuple[str, ...]:
     """
     require_stand_in(task.robot)
     if chosen is None:
-        return tuple(str(FIRST_VEHICLE + index) for index in range(task.vehicles))
+        return tuple(str(2 + index) for index in range(task.vehicles))
     if len(chosen) != task.vehicles:
         raise UserError(
             f"vehicles=[{','.join(chosen)}] are {len(chosen)}, task {task.config.name!r} is for {task.vehicles}: "
@@ -41,8 +38,8 @@ def other_vehicles(chosen: Sequence[str] | None, task: Task) -> tuple[str, ...]:
     return tuple(chosen)
 
 
-def simulation_of(policy: StoredPolicy, chosen: str | None, robot: Robot) -> tuple[Simulation, Path]:
-    """Return the simulation chosen, or the one that a policy was learned in, and its folder.
+def simulation_of(policy: StoredPolicy, chosen: str | None, robot: Robot) -> Simulation:
+    """Return the simulation chosen, or the one that a policy was learned in.
 
     Raises:
         UserError: there is none, or it is of another robot.
@@ -58,7 +55,7 @@ def simulation_of(policy: StoredPolicy, chosen: str | None, robot: Robot) -> tup
     simulation, _ = load_simulation(folder, robot)
     if chosen is None and registry.folder_digest(folder) != learned_in.digest:
         log.warning("%s is no longer the model that %s was learned in", reference, policy.folder)
-    return simulation, folder
+    return simulation
 
 
 def in_simulation(

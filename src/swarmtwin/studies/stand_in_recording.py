@@ -60,15 +60,11 @@ def _recording(footage: DrivenSession) -> Recording:
     none = np.full((*footage.command.shape[:1], 1, *footage.command.shape[2:]), np.nan)
     command = np.concatenate([footage.command, none], axis=1)
     tracks = tuple(
-        Track(_run_name(run), vehicle, time_s[run], command[run, :, index], pose[run, :, index])
+        Track(f"run_{run + 1:04d}", vehicle, time_s[run], command[run, :, index], pose[run, :, index])
         for run in range(len(time_s))
         for index, vehicle in enumerate(session.vehicles)
     )
     return Recording(session.robot, header, tracks)
-
-
-def _run_name(run: int) -> str:
-    return f"run_{run + 1:04d}"
 
 
 def _ended_at(

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-PRESENTATION = ("*_plots.py", "*_plot.py", "plotting.py", "progress_bars.py", "report/*", "rendering/*", "*.jinja")
+PRESENTATION = ("*_plots.py", "plotting.py", "progress_bars.py", "report/*", "rendering/*", "*.jinja")
 """Files that only draw, print or lay out what other modules have computed, as patterns of their paths' ends."""
 
 

@@ -112,24 +112,29 @@ def _entries(options: Options) -> list[Entry]:
         simulation, provenance = load_simulation(folder, options.robot)
         measurements = {place: measure(simulation, provenance, each) for place, each in measured.items()}
         parameters = sum(weights.numel() for weights in simulation.parameters())
-        name = _name(folder, provenance)
+        name = folder.name
+        if provenance.origin == "synthetic":  # the paper's -S
+            name = f"{name.removesuffix('_synthetic')}-S"
         entries.append(Entry(name, folder, parameters, provenance, measurements))
-    return sorted(entries, key=_train_vehicle_position_mm, reverse=True)
-
-
-def _name(folder: Path, provenance: Provenance) -> str:
-    """Return what a model is called: its folder's name, with the paper's -S where it knows synthetic data alone."""
-    return f"{folder.name.removesuffix('_synthetic')}-S" if provenance.origin == "synthetic" else folder.name
-
-
-def _train_vehicle_position_mm(entry: Entry) -> float:
-    return entry.measurements["train_vehicle"].overall.one_step.position_mm
+    return sorted(entries, key=lambda entry: -entry.measurements["train_vehicle"].overall.one_step.position_mm)
 
 
 def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> None:
     metrics = {e.name: {name: m.metrics() for name, m in e.measurements.items()} for e in entries}
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
-    rows = [row | {"best": entry is best} for entry in entries for row in _rows(entry)]
+    rows = [
+        {
+            "model": entry.name,
+            "parameters": entry.parameters,
+            "recording": recording,
+            **figure_columns(measurement.overall),
+            "dead_seeds": sum(outcome.dead is not None for outcome in entry.provenance.seeds),
+            "seeds": len(entry.provenance.seeds),
+            "best": entry is best,
+        }
+        for entry in entries
+        for recording, measurement in entry.measurements.items()
+    ]
     pd.DataFrame(rows).to_csv(folder / "table.csv", index=False)
     shutil.copytree(best.folder, folder / "best")
     for entry in entries:
@@ -140,13 +145,3 @@ def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> 
         overall = best.measurements[recording].overall
         figure = comparison_figure(one_step, overall.floor, overall.floor_kind != "exact")
         figure.savefig(folder / f"errors_{recording}.png")
-
-
-def _rows(entry: Entry) -> list[dict[str, object]]:
-    about = {"model": entry.name, "parameters": entry.parameters}
-    dead = sum(outcome.dead is not None for outcome in entry.provenance.seeds)
-    seeds = {"dead_seeds": dead, "seeds": len(entry.provenance.seeds)}
-    return [
-        {**about, "recording": name, **figure_columns(measurement.overall), **seeds}
-        for name, measurement in entry.measurements.items()
-    ]

@@ -1,28 +1,12 @@
 """A robot's models side by side: the columns of table.csv, and what a person reads of them."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 from rich import box
 from rich.table import Table
 
 from swarmtwin.simulation.evaluation import Figures
-
-
-class ModelRow(NamedTuple):
-    """One model as a person reads it; errors are mean ± standard deviation, first in mm, then in degrees.
-
-    `best` says whether it erred least on the validation runs.
-    """
-
-    model: str
-    parameters: str
-    train_vehicle: list[str]
-    other_vehicle: list[str]
-    model_error: list[str]
-    open_loop: str
-    dead_seeds: str
-    best: bool = False
 
 
 def figure_columns(figures: Figures) -> dict[str, Any]:
@@ -45,30 +29,37 @@ def figure_columns(figures: Figures) -> dict[str, Any]:
     return {**columns, **kinds}
 
 
-def model_rows(table: pd.DataFrame) -> list[ModelRow]:
-    """Return the floors, given the situation and given the commands before as well, then each model of table.csv."""
+def model_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the floors, given the situation and given the commands before as well, then each model of table.csv.
+
+    What a person reads of it, errors as mean ± standard deviation, first in mm, then in degrees; `best` erred least on
+    the validation runs.
+    """
     models = list(table.model.unique())
     first = table[table.model == models[0]].set_index("recording")
     rows = []
     for title, name in (("floor", "floor"), ("floor, history", "floor_given_history")):
         if f"{name}_kind" in first and pd.notna(first[f"{name}_kind"].iloc[0]):
-            kind = "" if first[f"{name}_kind"].iloc[0] == "exact" else " ≈"
-            errors = [_errors(first.loc[place], name) for place in ("train_vehicle", "other_vehicle")]
-            rows.append(ModelRow(f"{title}{kind}", "", errors[0], errors[1], [], "", ""))
+            floor: dict[str, Any] = {
+                "model": title if first[f"{name}_kind"].iloc[0] == "exact" else f"{title} ≈",
+                "parameters": "",
+                **{place: _errors(first.loc[place], name) for place in ("train_vehicle", "other_vehicle")},
+            }
+            rows.append(floor | {"model_error": [], "open_loop": "", "dead_seeds": "", "best": False})
     for model in models:
         part = table[table.model == model].set_index("recording")
         train, other, loop = (part.loc[name] for name in ("train_vehicle", "other_vehicle", "open_loop"))
         rows.append(
-            ModelRow(
-                model=model,
-                parameters=f"{train.parameters:,}",
-                train_vehicle=_errors(train, "one_step"),
-                other_vehicle=_errors(other, "one_step"),
-                model_error=_errors(train, "model_error"),
-                open_loop=f"{loop.open_loop_mm:.0f} ± {loop.open_loop_sd_mm:.0f}",
-                dead_seeds=f"{train.dead_seeds} of {train.seeds}",
-                best=bool(train.best),
-            )
+            {
+                "model": model,
+                "parameters": f"{train.parameters:,}",
+                "train_vehicle": _errors(train, "one_step"),
+                "other_vehicle": _errors(other, "one_step"),
+                "model_error": _errors(train, "model_error"),
+                "open_loop": f"{loop.open_loop_mm:.0f} ± {loop.open_loop_sd_mm:.0f}",
+                "dead_seeds": f"{train.dead_seeds} of {train.seeds}",
+                "best": bool(train.best),
+            }
         )
     return rows
 
@@ -82,9 +73,10 @@ def model_table(title: str, table: pd.DataFrame) -> Table:
     for heading in (*figures, "dead\nseeds"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for row in model_rows(table):
-        cells = ["\n".join(cell) if isinstance(cell, list) else cell for cell in row[2:-1]]
-        name = f"{row.model} *" if row.best else row.model
-        shown.add_row(name, *cells, style="dim" if row.model.startswith("floor") else None)
+        name = f"{row['model']} *" if row["best"] else row["model"]
+        errors = ("\n".join(row[column]) for column in ("train_vehicle", "other_vehicle", "model_error"))
+        style = "dim" if name.startswith("floor") else None
+        shown.add_row(name, *errors, row["open_loop"], row["dead_seeds"], style=style)
     shown.caption = (
         "mean ± standard deviation, position above orientation; * best on validation runs; floor: of the best model "
         "with the robot's situation, with the commands before as well; ≈ estimated"

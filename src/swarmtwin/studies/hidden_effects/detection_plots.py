@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
-from swarmtwin.studies.hidden_effects.cases import CATALOGUE, OUTSIDE
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE
 from swarmtwin.studies.hidden_effects.metrics import Proportion
 
 
@@ -76,21 +76,10 @@ def detection_figure(results: pd.DataFrame) -> Figure:
         axes = figure.subplots()
         for label, (colour, line, rates) in lines.items():
             if rates:
-                value = np.array([share.share for _, share in rates], float)
-                ends = [np.array([getattr(share, end) for _, share in rates], float) for end in ("low", "high")]
-                around = np.clip([value - ends[0], ends[1] - value], 0.0, None)
+                value, low, high = np.array([(rate.share, rate.low, rate.high) for _, rate in rates], float).T
+                around = np.clip([value - low, high - value], 0.0, None)
                 at = [middle for middle, _ in rates]
-                axes.errorbar(
-                    at,
-                    value,
-                    yerr=around,
-                    color=colour,
-                    linestyle=line,
-                    marker="o",
-                    markersize=4,
-                    capsize=2,
-                    label=label,
-                )
+                axes.errorbar(at, value, around, fmt=f"o{line}", color=colour, label=label, markersize=4, capsize=2)
         axes.set(xscale="log", ylim=(-0.02, 1.02), ylabel="share of sessions, 95 % interval")
         axes.set_xticks(ticks_percent, [f"{tick:g}" for tick in ticks_percent])
         axes.minorticks_off()

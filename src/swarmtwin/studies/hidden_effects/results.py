@@ -1,36 +1,17 @@
 """What came of each case: a line in a file that an interrupted study continues, and the tables made of all of them."""
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from swarmtwin.diagnosis.result import Verdict
+from swarmtwin.diagnosis.result import Cause, Estimate, Verdict
+from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.hidden_effects.cases import Case
-
-
-class Suspect(StrictModel):
-    """A cause that was named, and those that the session cannot tell from it."""
-
-    name: str
-    rivals: tuple[str, ...] = ()
-    confidence: float = 1.0
-    share_of_gap: float = 1.0
-
-
-class ParameterEstimate(StrictModel):
-    """A parameter of a cause that was named and true: what it is, and what was said of it with a 95 % interval."""
-
-    cause: str
-    name: str
-    true: float
-    value: float
-    low: float
-    high: float
-    unit: str
 
 
 class HeldOutGain(StrictModel):
@@ -78,7 +59,6 @@ class Result(StrictModel):
         verdict: of the diagnosis; null where it failed.
         failure: why it failed.
         causes: in the order named.
-        parameters: of the causes that are true.
         depends_on: what the residual depended on.
         gained: by the extended simulation.
         baselines: null where they were left out.
@@ -87,83 +67,56 @@ class Result(StrictModel):
 
     case: Case
     rise_percent: float
-    verdict: Verdict | None
-    failure: str | None
-    causes: tuple[Suspect, ...]
-    parameters: tuple[ParameterEstimate, ...]
-    depends_on: tuple[str, ...]
-    gained: HeldOutGain | None
-    baselines: Baselines | None
+    verdict: Verdict | None = None
+    failure: str | None = None
+    causes: tuple[Cause, ...] = ()
+    depends_on: tuple[str, ...] = ()
+    gained: HeldOutGain | None = None
+    baselines: Baselines | None = None
     seconds: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The causes named, in order."""
-        return tuple(cause.name for cause in self.causes)
-
-    @property
-    def is_found(self) -> bool:
-        """Whether the diagnosis said that something is wrong."""
-        return self.verdict in ("explained", "unexplained")
-
-    @property
-    def is_named_first(self) -> bool:
-        """Whether the first cause named is a true one."""
-        return bool(self.causes) and self.causes[0].name in self.case.true_names
-
-    @property
-    def is_listed(self) -> bool:
-        """Whether every true cause is named or a rival of one that is."""
-        listed = {name for cause in self.causes for name in (cause.name, *cause.rivals)}
-        return bool(self.case.true_names) and set(self.case.true_names) <= listed
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether the causes named are the true ones, all of them and no other."""
-        return self.verdict is not None and sorted(self.names) == sorted(self.case.true_names)
 
 
 def results_table(results: Sequence[Result]) -> pd.DataFrame:
     """Return one row a case: what was hidden, what the diagnosis and the other methods made of it.
 
-    Columns that end in `first_right` or `exact` say of each method whether the first cause it named is a true one, and
-    whether its causes are the true ones and no others.
+    Columns:
+        found: the diagnosis said that something is wrong.
+        named_first: the first cause named is a true one.
+        listed: every true cause is named, or a rival of one that is.
+        exact: the causes named are the true ones, all of them and no other.
+        fitting_first, fitting_exact, rule_first: likewise of the other methods.
     """
     return pd.DataFrame([_row(result) for result in results])
 
 
 def _row(result: Result) -> dict[str, Any]:
-    case, gained, others, true = result.case, result.gained, result.baselines, result.case.true_names
-    black_box = others.black_box if others else None
-    rule = (others.rule,) if others and others.rule else ()
+    case, others, true = result.case, result.baselines, result.case.true_names
+    named = tuple(cause.name for cause in result.causes)
+    rivals = tuple(rival for cause in result.causes for rival in cause.rivals)
     fitted = others.fitted if others else ()
+    rule = (others.rule,) if others and others.rule else ()
+    black_box = others.black_box if others else None
     return {
         "kind": case.kind,
         "variety": case.variety,
         "robot": case.robot,
         "rise_percent": result.rise_percent,
         "verdict": result.verdict or "failed",
-        "named": "+".join(result.names),
-        "rivals": "+".join(rival for cause in result.causes for rival in cause.rivals),
-        "found": result.is_found,
-        "named_first": result.is_named_first,
-        "listed": result.is_listed,
-        "exact": result.is_exact,
+        "named": "+".join(named),
+        "rivals": "+".join(rivals),
+        "found": result.verdict in ("explained", "unexplained"),
+        "named_first": bool(set(named[:1]) & set(true)),
+        "listed": bool(true) and set(true) <= {*named, *rivals},
+        "exact": result.verdict is not None and sorted(named) == sorted(true),
         "depends_on": "+".join(result.depends_on),
-        "before_mm": gained.before_mm if gained else None,
-        "after_mm": gained.after_mm if gained else None,
-        "least_mm": gained.least_mm if gained else None,
-        "share": gained.share if gained else None,
-        "share_to_floor": gained.share_to_floor if gained else None,
+        **{name: getattr(result.gained, name, None) for name in HeldOutGain.model_fields},
         "with_baselines": others is not None,
         "fitting": "+".join(fitted),
         "fitting_first": fitted[:1] == true,
         "fitting_exact": fitted == true,
         "rule": "+".join(rule),
         "rule_first": rule == true,
-        "black_box_after_mm": black_box.after_mm if black_box else None,
-        "black_box_share": black_box.share if black_box else None,
-        "black_box_share_to_floor": black_box.share_to_floor if black_box else None,
+        **{f"black_box_{name}": getattr(black_box, name, None) for name in ("after_mm", "share", "share_to_floor")},
         "runs": case.runs,
         "steps": case.steps,
         "vehicles": " ".join(case.vehicles),
@@ -184,12 +137,8 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
     `covered` says whether the 95 % interval holds the true value.
     """
-    rows = [
-        {"robot": result.case.robot, "kind": result.case.kind, "seed": result.case.seed, **parameter.model_dump()}
-        for result in results
-        for parameter in result.parameters
-    ]
-    table = pd.DataFrame(rows, columns=["robot", "kind", "seed", *ParameterEstimate.model_fields])
+    about, said = ["robot", "kind", "seed", "cause", "name", "true"], list(Estimate.model_fields)
+    table = pd.DataFrame([row for result in results for row in _parameters(result)], columns=[*about, *said])
     true = table.true.astype(float)
     has_size = ~table.name.isin(["angle_rad", "direction_rad", "x_mm", "y_mm", "forward_mm", "left_mm"]) & (true != 0)
     is_factor = table.name.isin(["gain", "scale", "ratio", "factor"])
@@ -198,6 +147,21 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
     table["covered"] = table.true.between(table.low, table.high)
     return table
+
+
+def _parameters(result: Result) -> Iterator[dict[str, Any]]:
+    """Return what is said of the parameters of the causes that are true, beside what they are."""
+    case = result.case
+    effects = {effect["name"]: effect for effect in case.effects if effect["name"] in case.true_names}
+    for cause in result.causes:
+        for name, estimate in cause.parameters.items():
+            true = effects.get(cause.name, {}).get(name)
+            if true is None:
+                continue
+            if name == "direction_rad":  # the same direction, as near to what is said as it can be told
+                true = estimate.value + float(wrap_angle(np.array(true - estimate.value)))
+            about = {"robot": case.robot, "kind": case.kind, "seed": case.seed, "cause": cause.name, "name": name}
+            yield {**about, "true": true, **estimate.model_dump()}
 
 
 def append_result(path: Path, result: Result) -> None:

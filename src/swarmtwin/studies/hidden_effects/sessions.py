@@ -2,12 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from swarmtwin.geometry import orientation_error_rad, position_error_mm, wrap_angle
-from swarmtwin.recordings.recording import Recording, Track
+from swarmtwin.geometry import wrap_angle
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.recordings.writing import HEADING_DECIMALS, POSITION_DECIMALS
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
@@ -15,7 +14,7 @@ from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.exact_means import mean_given_state
 from swarmtwin.standin.session import DrivenSession, StandInSession
 from swarmtwin.studies.hidden_effects.cases import Case
-from swarmtwin.studies.hidden_effects.outside_catalogue import OUTSIDE
+from swarmtwin.studies.hidden_effects.outside_effects import EFFECTS
 from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import Transitions, from_recording
 
@@ -36,35 +35,10 @@ class HiddenSession:
 
     def least_displacement(self, transitions: Transitions) -> np.ndarray:
         """Return the exact mean displacements (N, 3) of transitions of this recording, given the true states."""
-        step = [
-            int(np.argmin(np.abs(self.footage.time_s[run] - time_s)))
-            for run, time_s in zip(transitions.run, transitions.time_s, strict=True)
-        ]
+        away_s = np.abs(self.footage.time_s[transitions.run] - transitions.time_s[:, None])
         vehicles = np.array([self.footage.session.vehicles.index(vehicle) for vehicle in transitions.vehicles])
         expected: np.ndarray = mean_given_state(self.footage)
-        return expected[transitions.run, step, vehicles[transitions.vehicle]].astype(float)
-
-
-@dataclass(frozen=True)
-class MeanErrors:
-    """Mean one-step errors over some transitions."""
-
-    position_mm: float
-    orientation_deg: float
-
-    @classmethod
-    def of(cls, predicted: np.ndarray, measured: np.ndarray) -> "MeanErrors":
-        """Compare displacements (N, 3)."""
-        return cls(
-            float(position_error_mm(predicted, measured).mean()),
-            float(np.rad2deg(orientation_error_rad(predicted, measured)).mean()),
-        )
-
-    def rise_percent(self, clean: "MeanErrors") -> float:
-        """Return by how much these errors are larger than those of the clean twin: the larger of both rises."""
-        position = self.position_mm / clean.position_mm
-        orientation = self.orientation_deg / clean.orientation_deg
-        return 100.0 * (max(position, orientation) - 1.0)
+        return expected[transitions.run, away_s.argmin(axis=1), vehicles[transitions.vehicle]].astype(float)
 
 
 def effects_of(case: Case, robot: Robot) -> tuple[Effect, ...]:
@@ -72,7 +46,7 @@ def effects_of(case: Case, robot: Robot) -> tuple[Effect, ...]:
     if case.kind != "outside":
         return parse_effects(case.effects, robot, len(case.vehicles))
     return tuple(
-        OUTSIDE[effect["name"]].parse({key: value for key, value in effect.items() if key != "name"}, effect["name"])
+        EFFECTS[effect["name"]].parse({key: value for key, value in effect.items() if key != "name"}, effect["name"])
         for effect in case.effects
     )
 
@@ -89,8 +63,8 @@ def clean_twin(case: Case, robot: Robot) -> HiddenSession:
 
 def reference_session(robot: Robot, runs: int, steps: int, seed: int) -> HiddenSession:
     """Drive vehicle 1 as it was when the simulation was learned."""
-    kind: Any = {"kind": "clean", "variety": "plain", "effects": ()}
-    return _filmed(Case(robot=robot.name, runs=runs, steps=steps, seed=seed, **kind), robot, ())
+    case = Case(kind="clean", variety="plain", robot=robot.name, effects=(), runs=runs, steps=steps, seed=seed)
+    return clean_twin(case, robot)
 
 
 def _filmed(case: Case, robot: Robot, effects: Sequence[Effect]) -> HiddenSession:
@@ -117,11 +91,10 @@ def _blurred(recording: Recording, footage: DrivenSession, case: Case) -> Record
     usual = np.array([physics.position_noise_mm, physics.position_noise_mm, physics.heading_noise_rad])
     size = usual * np.sqrt(case.pose_noise**2 - 1.0)
     rng = np.random.default_rng([case.seed, 1])
-
-    def blurred(track: Track) -> Track:
+    tracks = []
+    for track in recording.tracks:
         pose = track.pose + size * rng.standard_normal(track.pose.shape)
         pose[:, :2] = pose[:, :2].round(POSITION_DECIMALS)
         pose[:, 2] = wrap_angle(pose[:, 2]).round(HEADING_DECIMALS)
-        return replace(track, pose=pose)
-
-    return replace(recording, tracks=tuple(blurred(track) for track in recording.tracks))
+        tracks.append(replace(track, pose=pose))
+    return replace(recording, tracks=tuple(tracks))

@@ -4,12 +4,12 @@ Every cause of the catalogue, clear and faint; two and three at once; effects th
 with nothing wrong. The diagnosis sees the recordings alone.
 """
 
+import json
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from matplotlib.figure import Figure
 from pydantic import BeforeValidator, Field
@@ -21,6 +21,7 @@ from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.learning.parallel import Report, run_side_by_side
+from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.learning.trainer import one_thread
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.standin.session import require_stand_in
@@ -31,7 +32,7 @@ from swarmtwin.studies.hidden_effects.detection_plots import (
     detection_figure,
     parameters_figure,
 )
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, Summary, summarise
+from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
 from swarmtwin.studies.hidden_effects.results import (
     Result,
     append_result,
@@ -70,6 +71,11 @@ class Options(StrictModel):
     output: Path
     overwrite: bool
 
+    @property
+    def plan(self) -> Plan:
+        """What all cases are drawn from."""
+        return Plan(seed=self.seed, runs=self.runs, steps=self.steps, references=self.references)
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -91,24 +97,12 @@ class Batch:
 
     def run(self, report: Report | None) -> None:
         """Learn the reference and score all cases; each result is reported as soon as it is there."""
-        with one_thread(), _quiet():
+        with one_thread(), quieter("swarmtwin.transitions", logging.WARNING):
             reference = learned_reference(self.robot, self.options, self.seed)
             for case in self.cases:
                 result = score_case(case, self.robot, reference, self.with_baselines)
                 if report:
                     report(result)
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Leave out the count of each session's transitions."""
-    logger = logging.getLogger("swarmtwin.transitions")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
 
 
 def learned_reference(robot: Robot, options: ReferenceOptions, seed: int) -> Reference:
@@ -128,13 +122,12 @@ def run(options: Options) -> None:
     robots = [Robot.load(config_folder() / "robot" / f"{name}.yaml") for name in dict.fromkeys(options.robots)]
     for robot in robots:
         require_stand_in(robot)
-    plan = Plan(seed=options.seed, runs=options.runs, steps=options.steps, references=options.references)
-    cases = draw_cases(robots, plan, options.count, options.cases)
+    cases = draw_cases(robots, options.plan, options.count, options.cases)
     if not cases:
         raise UserError("no case is left: give more kinds in cases=[...]")
     with tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, keep_partial=True) as folder:
-            results = _results(options, robots, plan, cases, folder / "results.jsonl")
+            results = _results(options, robots, cases, folder / "results.jsonl")
             summary = summarise(results)
             _save(folder, results, summary)
         tracked.metrics(_tracked(summary))
@@ -145,7 +138,7 @@ def run(options: Options) -> None:
     console.print(f"tables and pictures: {options.output}", highlight=False, soft_wrap=True)
 
 
-def _results(options: Options, robots: list[Robot], plan: Plan, cases: list[Case], file: Path) -> list[Result]:
+def _results(options: Options, robots: list[Robot], cases: list[Case], file: Path) -> list[Result]:
     """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
     known = read_results(file, cases)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -158,29 +151,26 @@ def _results(options: Options, robots: list[Robot], plan: Plan, cases: list[Case
             bar.advance(task)
 
         missing = [case for case in cases if case.key not in known]
-        batches = list(_batches(options, robots, plan, missing))
-        run_side_by_side(batches, keep, options.processes)
+        run_side_by_side(list(_batches(options, robots, missing)), keep, options.processes)
     return [known[case.key] for case in cases]
 
 
-def _batches(
-    options: Options, robots: list[Robot], plan: Plan, cases: list[Case], largest: int = 16
-) -> Iterator[Batch]:
+def _batches(options: Options, robots: list[Robot], cases: list[Case], largest: int = 16) -> Iterator[Batch]:
     """Put cases of one robot and reference together, `largest` at most: more would leave processes idle in the end."""
     for robot in robots:
-        for number in range(plan.references):
+        for number in range(options.references):
             own = [case for case in cases if case.robot == robot.name and case.reference == number]
-            seed = int(plan.rng("reference", robot.name, number).integers(2**31))
+            seed = int(options.plan.rng("reference", robot.name, number).integers(2**31))
             for first in range(0, len(own), largest):
                 yield Batch(robot, options.reference, seed, tuple(own[first : first + largest]), options.baselines)
 
 
-def _save(folder: Path, results: list[Result], summary: Summary) -> None:
+def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
     table, parameters = results_table(results), parameters_table(results)
     rounded = table.infer_objects().round({"rise_percent": 2, "seconds": 2}).round(4)
     rounded.to_csv(folder / "results.csv", index=False)
     parameters.to_csv(folder / "parameters.csv", index=False)
-    write_text(folder / "metrics.json", summary.model_dump_json(indent=1) + "\n")
+    write_text(folder / "metrics.json", json.dumps(summary, indent=1, default=Proportion.model_dump) + "\n")
     figures: dict[str, Figure] = {
         "confusion": confusion_figure(table),
         "detection": detection_figure(table),
@@ -194,14 +184,14 @@ def _save(folder: Path, results: list[Result], summary: Summary) -> None:
     write_text(folder / "report.md", f"# Hidden effects\n\n{tables}\n{pictures}\n")
 
 
-def _tracked(summary: Summary) -> dict[str, float]:
+def _tracked(summary: dict[str, Any]) -> dict[str, float]:
     proportions = {
-        "single_found": summary.single[CLEAR]["found"],
-        "single_named_first": summary.single[CLEAR]["named_first"],
-        "pair_exact": summary.pair["exact"],
-        "triple_exact": summary.triple["exact"],
-        "outside_not_named": summary.outside["not_named"],
-        "clean_accused": summary.clean["accused"],
-        "intervals_covered": summary.covered,
+        "single_found": summary["single"][CLEAR]["found"],
+        "single_named_first": summary["single"][CLEAR]["named_first"],
+        "pair_exact": summary["pair"]["exact"],
+        "triple_exact": summary["triple"]["exact"],
+        "outside_not_named": summary["outside"]["not_named"],
+        "clean_accused": summary["clean"]["accused"],
+        "intervals_covered": summary["covered"],
     }
     return {name: one.share for name, one in proportions.items() if one.share is not None}

@@ -2,6 +2,7 @@
 
 import base64
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -10,16 +11,16 @@ from jinja2 import Environment, PackageLoader
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.diagnosis.report.page import CAPTIONS, Bars, gain_bars, leading_pictures
+from swarmtwin.diagnosis.report.page import CAPTIONS, gain_bars, leading_pictures
 from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.result import DiagnosisResult
 from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.studies.dynamics.table import ModelRow, model_rows, model_table
-from swarmtwin.studies.synthetic.table import CaseRow, case_rows, case_table
-from swarmtwin.studies.transfer.table import PolicyRow, policy_rows, policy_table
+from swarmtwin.studies.dynamics.table import model_rows, model_table
+from swarmtwin.studies.synthetic.table import case_rows, case_table
+from swarmtwin.studies.transfer.table import policy_rows, policy_table
 from swarmtwin.tracking import registry
 from swarmtwin.transitions import Preparation, load_preparation
 
@@ -61,31 +62,6 @@ class Chapter(NamedTuple):
     pictures: dict[str, dict[str, Path]]
     films: dict[str, Path]
 
-    @property
-    def model_rows(self) -> list[ModelRow]:
-        """The models as a person reads them, the floor first."""
-        return model_rows(self.models)
-
-    @property
-    def case_rows(self) -> list[CaseRow]:
-        """Real and synthetic as a person reads them, the floor first."""
-        return [] if self.cases is None else case_rows(self.cases)
-
-    @property
-    def policy_rows(self) -> list[PolicyRow]:
-        """The policies as a person reads them."""
-        return [] if self.policies is None else policy_rows(self.policies)
-
-    @property
-    def verdict(self) -> str:
-        """What the diagnosis says in one sentence."""
-        return "" if self.diagnosis is None else verdict_words(self.diagnosis)
-
-    @property
-    def gain(self) -> list[Bars]:
-        """The errors on the later session before and after the extension."""
-        return [] if self.diagnosis is None else gain_bars(self.diagnosis)
-
 
 PICTURES = {
     "models": {
@@ -109,7 +85,7 @@ PICTURES = {
         "transfer/{robot}/paths_{policy}.png": "{policy}: the paths of a typical roll-out",
     },
 }
-FILM = "transfer/{robot}/{policy}.mp4"
+FILMS = {"transfer/{robot}/{policy}.mp4": "{policy}"}
 
 
 def run(options: Options) -> None:
@@ -133,7 +109,8 @@ def run(options: Options) -> None:
             console.print(policy_table(chapter.robot.title, chapter.policies))
     for chapter in chapters:
         if chapter.diagnosis is not None:
-            console.print(f"{chapter.robot.title}, a later session: {chapter.verdict}", highlight=False, soft_wrap=True)
+            verdict = verdict_words(chapter.diagnosis)
+            console.print(f"{chapter.robot.title}, a later session: {verdict}", highlight=False, soft_wrap=True)
             console.print(f"the whole diagnosis: {chapter.report}", highlight=False, soft_wrap=True)
     console.print(_registry_table(chapters))
     films = [film for chapter in chapters for film in chapter.films.values()]
@@ -147,22 +124,24 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     comparison = artifacts / "comparison" / robot_name
     if not (comparison / "table.csv").exists():
         raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
+    diagnosed = artifacts / "diagnosis" / robot_name
+    diagnosis = _diagnosis(diagnosed / "diagnosis.json")
     policies = _table(artifacts / "transfer" / robot_name)
     names = [] if policies is None else list(policies.policy)
-    diagnosis = _diagnosis(artifacts / "diagnosis" / robot_name)
-    pictures = {section: _pictures(artifacts, robot_name, section, names) for section in PICTURES}
-    films = {name: artifacts / FILM.format(robot=robot_name, policy=name) for name in names}
+    leading = leading_pictures(diagnosis) if diagnosis else []
+    pictures = {section: _existing(artifacts, templates, robot_name, names) for section, templates in PICTURES.items()}
+    pictures["diagnosis"] = _existing(diagnosed, {f"figures/{name}.png": CAPTIONS[name] for name in leading})
     return Chapter(
         robot=read_description(comparison / "best").robot,
         preparation=load_preparation(artifacts / "transitions" / robot_name),
         models=pd.read_csv(comparison / "table.csv"),
         diagnosis=diagnosis,
-        report=artifacts / "diagnosis" / robot_name / "report.html",
+        report=diagnosed / "report.html",
         cases=_table(artifacts / "real_and_synthetic" / robot_name),
         policies=policies,
         champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
-        pictures=pictures | {"diagnosis": _leading(artifacts / "diagnosis" / robot_name, diagnosis)},
-        films={name: film for name, film in films.items() if film.exists()},
+        pictures=pictures,
+        films=_existing(artifacts, FILMS, robot_name, names),
     )
 
 
@@ -171,8 +150,7 @@ def _table(folder: Path) -> pd.DataFrame | None:
     return pd.read_csv(file) if file.exists() else None
 
 
-def _diagnosis(folder: Path) -> DiagnosisResult | None:
-    file = folder / "diagnosis.json"
+def _diagnosis(file: Path) -> DiagnosisResult | None:
     if not file.exists():
         return None
     try:
@@ -181,19 +159,12 @@ def _diagnosis(folder: Path) -> DiagnosisResult | None:
         raise UserError(f"{file} is damaged ({error}): run `dvc repro` again") from None
 
 
-def _leading(folder: Path, diagnosis: DiagnosisResult | None) -> dict[str, Path]:
-    """Return the pictures that show what a diagnosis found, by their captions."""
-    names = [] if diagnosis is None else leading_pictures(diagnosis)
-    files = {CAPTIONS[name]: folder / "figures" / f"{name}.png" for name in names}
-    return {caption: file for caption, file in files.items() if file.exists()}
-
-
-def _pictures(artifacts: Path, robot: str, section: str, policies: list[str]) -> dict[str, Path]:
-    """Return the pictures of a section that are there, by their captions."""
+def _existing(folder: Path, captions: dict[str, str], robot: str = "", policies: Sequence[str] = ()) -> dict[str, Path]:
+    """Return the files of a folder that are there, by their captions; those of policies once for each."""
     found = {}
-    for path, caption in PICTURES[section].items():
-        for policy in policies if "{policy}" in path else [""]:
-            file = artifacts / path.format(robot=robot, policy=policy)
+    for path, caption in captions.items():
+        for policy in policies if "{policy}" in path else ("",):
+            file = folder / path.format(robot=robot, policy=policy)
             if file.exists():
                 found[caption.format(policy=policy)] = file
     return found
@@ -221,7 +192,8 @@ def _registry_table(chapters: list[Chapter]) -> Table:
 
 def _page(chapters: list[Chapter]) -> str:
     environment = Environment(loader=PackageLoader("swarmtwin.studies.overview", "."), autoescape=True)
-    environment.filters["embedded"] = _embedded
+    rows = {"model_rows": model_rows, "case_rows": case_rows, "policy_rows": policy_rows}
+    environment.filters.update(embedded=_embedded, verdict_words=verdict_words, gain_bars=gain_bars, **rows)
     return environment.get_template("page.html.jinja").render(chapters=chapters)
 
 

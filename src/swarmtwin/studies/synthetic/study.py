@@ -6,7 +6,7 @@ directly; and CR-Net given the walls that this ensemble is given.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,11 +18,10 @@ from pydantic import BeforeValidator, Field
 from rich.console import Console
 from rich.progress import Progress
 
-from swarmtwin.dynamics.model_config import ModelConfig, model_config
+from swarmtwin.dynamics.model_config import model_config
 from swarmtwin.dynamics.predictor import NetworkDynamics
-from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
-from swarmtwin.dynamics.training import SeedResult, TrainingJob, train_seeds
-from swarmtwin.dynamics.training_module import Epoch
+from swarmtwin.dynamics.trained_folder import provenance_of
+from swarmtwin.dynamics.training import SeedResult, Trained, TrainingJob, train_seeds
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.generators.generator import generator_config
@@ -31,11 +30,9 @@ from swarmtwin.recordings.reading import read_recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, measure
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.studies.synthetic.cases import Amount, Case, TrainingSets, chosen_cases
-from swarmtwin.studies.synthetic.error_plot import cases_figure
-from swarmtwin.studies.synthetic.table import ERRORS, case_table
+from swarmtwin.studies.synthetic.table import ERRORS, case_table, cases_figure
+from swarmtwin.studies.synthetic.trainings import Amount, Case, Training, TrainingSets, chosen_cases
 from swarmtwin.tracking.runs import tracked_run
-from swarmtwin.transitions import Preparation
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
 
 Count = Annotated[int, Field(ge=1)]
@@ -73,23 +70,15 @@ class Options(StrictModel):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case: the steps of its training, and one result and one measurement a seed, none for dead ones.
+    """What came of a training.
 
     Attributes:
-        name: the case's.
-        case: what was trained on what.
-        inputs: what the model was given.
-        preparation: how the transitions came about that it learned from.
-        steps: optimiser steps of a training.
+        training: of which case.
         results: one a seed.
         measurements: by recording, one a live seed.
     """
 
-    name: str
-    case: Case
-    inputs: tuple[str, ...]
-    preparation: Preparation
-    steps: int
+    training: Training
     results: tuple[SeedResult, ...]
     measurements: dict[str, tuple[Measurement, ...]]
 
@@ -111,7 +100,7 @@ def run(options: Options) -> None:
     ) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
             outcomes = _outcomes(options, cases)
-            table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome, options)])
+            table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome)])
             table.to_csv(folder / "table.csv", index=False)
             write_text(folder / "metrics.json", json.dumps(_metrics(outcomes), indent=1) + "\n")
             cases_figure(table, options.robot.title).savefig(folder / "errors.png")
@@ -122,105 +111,67 @@ def run(options: Options) -> None:
     Console().print(case_table(options.robot.title, table))
 
 
-def _outcomes(options: Options, cases: dict[str, Case]) -> list[Outcome]:
+def _trainings(options: Options, cases: dict[str, Case]) -> Iterator[Training]:
     configs = {name: model_config(getattr(options, name), name) for name in ("crnet", "mlp", "ensemble")}
     generators = {name: generator_config(getattr(options, name), name) for name in ("generator", "published")}
     real = prepared_transitions(options.transitions, options.robot)
-    measured = {
-        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
-    }
-    amounts: dict[Amount, int | None] = {
-        "all": None,
-        "part": round(options.part * len(real[0])),
-        "few": options.few,
-    }
-    sets = TrainingSets(real, amounts, options.synthetic, generators, options.generators, options.seed)
-    jobs: dict[str, list[TrainingJob]] = {}
-    preparations = {}
+    less: dict[Amount, int] = {"part": round(options.part * len(real[0])), "few": options.few}
+    sets = TrainingSets(real, less, options.synthetic, generators, options.generators, options.seed)
     for name, case in cases.items():
-        transitions, preparations[name] = sets.of(case)
+        transitions, preparation = sets.of(case)
         config = configs[case.model]
         if case.walls:
             config = config.model_copy(update={"wall_reaches": configs["ensemble"].wall_reaches})
         learned = len((real[0] if case.at_epochs else transitions).part("train"))
         recipe = options.recipe.completed(config.learning_rate, config.steps, learned)
         seeds = range(options.seed, options.seed + options.seeds)
-        jobs[name] = [TrainingJob(transitions, config, recipe, seed) for seed in seeds]
-    results = iter(_trained([job for own in jobs.values() for job in own]))
+        jobs = tuple(TrainingJob(transitions, config, recipe, seed) for seed in seeds)
+        yield Training(name, case, preparation, jobs)
+
+
+def _outcomes(options: Options, cases: dict[str, Case]) -> list[Outcome]:
+    trainings = list(_trainings(options, cases))
+    measured = {
+        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
+    }
+    jobs = [job for training in trainings for job in training.jobs]
+    with Progress(console=Console(stderr=True)) as bars:
+        task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))
+        results = iter(train_seeds(jobs, lambda *_: bars.advance(task), None))
     outcomes = []
-    for name, own in jobs.items():
-        came = tuple(next(results) for _ in own)
+    for training in trainings:
+        came = tuple(next(results) for _ in training.jobs)
+        live = [_trained(job, result) for job, result in zip(training.jobs, came, strict=True) if not result.dead]
         measurements = {
             place: tuple(
-                _measured(job, result, preparations[name], each)
-                for job, result in zip(own, came, strict=True)
-                if not result.dead
+                measure(Simulation(one.dynamics), provenance_of(one, training.preparation), each) for one in live
             )
             for place, each in measured.items()
         }
-        inputs = _inputs(own[0].config, options.robot)
-        outcomes.append(Outcome(name, cases[name], inputs, preparations[name], _steps(own[0]), came, measurements))
+        outcomes.append(Outcome(training, came, measurements))
     return outcomes
 
 
-def _inputs(config: ModelConfig, robot: Robot) -> tuple[str, ...]:
-    """Return what a model is given: parts of the situation, and the walls."""
-    inputs = config.inputs(robot)
-    return (*inputs, "walls") if config.wall_reaches and "pose" in inputs else inputs
-
-
-def _steps(job: TrainingJob) -> int:
-    """Return how many optimiser steps a training takes."""
-    rows = len(job.transitions.part("train"))
-    return (job.recipe.epochs or 0) * (rows // min(job.recipe.batch_size, rows))
-
-
-def _trained(jobs: Sequence[TrainingJob]) -> list[SeedResult]:
-    with Progress(console=Console(stderr=True)) as bars:
-        task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))
-
-        def report(seed: int, number: int, epoch: Epoch) -> None:
-            bars.advance(task)
-
-        return train_seeds(jobs, report, None)
-
-
-def _measured(job: TrainingJob, result: SeedResult, preparation: Preparation, measured: Measured) -> Measurement:
+def _trained(job: TrainingJob, result: SeedResult) -> Trained:
     weights = {name: torch.from_numpy(values) for name, values in result.weights.items()}
     dynamics = NetworkDynamics.with_weights(job.transitions.robot, job.config, weights)
-    best = result.history[result.best - 1]
-    outcome = SeedOutcome(
-        seed=result.seed,
-        best_epoch=result.best,
-        position_mm=best.validation_position_mm,
-        orientation_deg=best.validation_orientation_deg,
-        dead=None,
-    )
-    recipe = job.recipe.model_dump(mode="json")
-    return measure(Simulation(dynamics), Provenance.of(preparation, recipe, result.seed, (outcome,)), measured)
+    return Trained(dynamics, result.seed, job.recipe, (result,))
 
 
-def _rows(outcome: Outcome, options: Options) -> list[dict[str, Any]]:
+def _rows(outcome: Outcome) -> list[dict[str, Any]]:
     """Return a case's rows of table.csv: one a recording, mean and spread over its live seeds."""
-    case, counts = outcome.case, outcome.preparation.transitions
-    generator = outcome.preparation.generator
+    training = outcome.training
     about = {
-        "case": outcome.name,
-        "title": case.title,
-        "inputs": ", ".join(outcome.inputs),
-        "real": generator.real_transitions if generator and case.source != "mixture" else _real_rows(outcome, options),
-        "learned_from": counts["train"],
-        "steps": outcome.steps,
+        "case": training.name,
+        "title": training.case.title,
+        "inputs": training.inputs,
+        "real": training.real_rows,
+        "learned_from": training.preparation.transitions["train"],
+        "steps": training.steps,
         "seeds": len(outcome.results),
         "dead_seeds": sum(result.dead is not None for result in outcome.results),
     }
     return [{**about, "recording": place, **_errors(own)} for place, own in outcome.measurements.items()]
-
-
-def _real_rows(outcome: Outcome, options: Options) -> int:
-    """Return how many real transitions a model was trained on and chosen by."""
-    total = sum(outcome.preparation.transitions[split] for split in ("train", "validation"))
-    return round(outcome.case.real_share * total)
 
 
 def _errors(measurements: Sequence[Measurement]) -> dict[str, float | None]:
@@ -237,8 +188,8 @@ def _errors(measurements: Sequence[Measurement]) -> dict[str, float | None]:
 
 def _metrics(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {
-        outcome.name: {
-            "steps": outcome.steps,
+        outcome.training.name: {
+            "steps": outcome.training.steps,
             "dead": {str(result.seed): result.dead for result in outcome.results if result.dead},
             **{place: [each.overall.plain() for each in own] for place, own in outcome.measurements.items()},
         }

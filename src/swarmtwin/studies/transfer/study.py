@@ -54,11 +54,6 @@ class Entry:
     rollouts: dict[str, Rollout]
     metrics: dict[str, Any]
 
-    @property
-    def pair(self) -> tuple[Rollout, Rollout]:
-        """The roll-outs in simulation and on stand-ins."""
-        return self.rollouts["simulation"], self.rollouts["stand_in"]
-
 
 def run(options: Options) -> None:
     """Roll out every policy, save table, figures, every step, pictures and films, and show the table.
@@ -100,9 +95,8 @@ def _entry(options: Options, policy: StoredPolicy) -> Entry:
     task = policy.build_task()
     scenario = draw_scenarios(task, options.count, "rollout", options.seed)
     vehicles = other_vehicles(None, task)
-    dynamics, _ = simulation_of(policy, None, options.robot)
     rollouts = {
-        "simulation": in_simulation(policy, dynamics, scenario),
+        "simulation": in_simulation(policy, simulation_of(policy, None, options.robot), scenario),
         "stand_in": on_stand_ins(policy, vehicles, scenario, options.seed),
     }
     return Entry(policy.folder.name, policy, vehicles, rollouts, metrics_of(rollouts))
@@ -111,7 +105,8 @@ def _entry(options: Options, policy: StoredPolicy) -> Entry:
 def _save(folder: Path, options: Options, entries: Sequence[Entry]) -> None:
     write_text(folder / "metrics.json", json.dumps({e.name: e.metrics for e in entries}, indent=1) + "\n")
     pd.DataFrame([_row(entry) for entry in entries]).to_csv(folder / "table.csv", index=False)
-    rewards_figure({entry.name: entry.pair for entry in entries}).savefig(folder / "rewards.png")
+    pairs = {e.name: (e.rollouts["simulation"], e.rollouts["stand_in"]) for e in entries}
+    rewards_figure(pairs).savefig(folder / "rewards.png")
     rates = {e.name: {motion: figures_of(r).success for motion, r in e.rollouts.items()} for e in entries}
     success_figure(rates).savefig(folder / "success.png")
     steps = [

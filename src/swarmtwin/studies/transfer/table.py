@@ -1,40 +1,27 @@
 """Policies side by side: what a person reads of the table.csv of their roll-outs in simulation and on stand-ins."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import pandas as pd
 from rich import box
 from rich.table import Table
 
-MOTIONS = {"simulation": "simulation", "stand_in": "stand-ins"}
+from swarmtwin.policies.reward_plots import NAMES
 
 
-class PolicyRow(NamedTuple):
-    """One policy as a person reads it; in each list the simulation's figure stands before the stand-ins'."""
-
-    policy: str
-    learned_in: str
-    where: list[str]
-    reward: list[str]
-    difference: str
-    success: list[str]
-    collisions: list[str]
-    time_s: list[str]
-
-
-def policy_rows(table: pd.DataFrame) -> list[PolicyRow]:
-    """Return each policy of table.csv, in its order."""
+def policy_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return each policy of table.csv as a person reads it; of two figures the simulation's stands first."""
     return [
-        PolicyRow(
-            policy=row["policy"],
-            learned_in=row["simulation"],
-            where=list(MOTIONS.values()),
-            reward=[f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in MOTIONS],
-            difference=f"{row['reward_difference_percent_value']:+.1f}",
-            success=[_rate(row, f"{motion}_success") for motion in MOTIONS],
-            collisions=[f"{row[f'{motion}_collision']:.0%}" for motion in MOTIONS],
-            time_s=[f"{row[f'{motion}_reach_time_s']:.0f}" for motion in MOTIONS],
-        )
+        {
+            "policy": row["policy"],
+            "learned_in": row["simulation"],
+            "where": list(NAMES.values()),
+            "reward": [f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in NAMES],
+            "difference": f"{row['reward_difference_percent_value']:+.1f}",
+            "success": [_rate(row, f"{motion}_success") for motion in NAMES],
+            "collisions": [f"{row[f'{motion}_collision']:.0%}" for motion in NAMES],
+            "time_s": [f"{row[f'{motion}_reach_time_s']:.0f}" for motion in NAMES],
+        }
         for row in table.to_dict("records")
     ]
 
@@ -48,8 +35,8 @@ def policy_table(title: str, table: pd.DataFrame) -> Table:
     for heading in ("\nreward", "\nsuccess", "colli-\nsions", "time\ns", "diffe-\nrence %"):
         shown.add_column(heading, justify="right", no_wrap=True)
     for row in policy_rows(table):
-        pairs = ("\n".join(cell) for cell in (row.where, row.reward, row.success, row.collisions, row.time_s))
-        shown.add_row(row.policy, *pairs, f"\n{row.difference}")
+        pairs = ("\n".join(row[column]) for column in ("where", "reward", "success", "collisions", "time_s"))
+        shown.add_row(row["policy"], *pairs, f"\n{row['difference']}")
     shown.caption = (
         "stand-ins: other vehicles than the one recorded; reward a vehicle and step, mean ± standard deviation; "
         "success with its 95 % interval; difference: of the reward, stand-ins against simulation"

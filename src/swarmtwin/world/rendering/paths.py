@@ -9,7 +9,8 @@ from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
 from matplotlib.transforms import Affine2D
 
 from swarmtwin.plotting import style
-from swarmtwin.world.rendering.drawing import COLOURS, is_wide
+from swarmtwin.world.rendering.canvas import COLOURS
+from swarmtwin.world.rendering.drawing import is_wide
 from swarmtwin.world.rendering.frame import Frame, frame_of
 from swarmtwin.world.rollout import NEVER, Rollout
 

@@ -3,7 +3,7 @@
 import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 
-from swarmtwin.geometry import wrap_angle
+from swarmtwin.geometry import residual_between
 from swarmtwin.transitions import Transitions
 
 
@@ -17,8 +17,7 @@ def learned_residual(transitions: Transitions, simulated: np.ndarray, held_out: 
         seed: of the trees.
     """
     inputs = _features(transitions)
-    residual = transitions.displacement - simulated
-    residual[:, 2] = wrap_angle(residual[:, 2])
+    residual = residual_between(simulated, transitions.displacement)
     added = np.zeros_like(residual)
     for axis in range(3):
         trees = HistGradientBoostingRegressor(

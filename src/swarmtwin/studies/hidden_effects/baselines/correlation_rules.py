@@ -1,41 +1,19 @@
 """Plain rules: each cause leaves a pattern in the residual, and the pattern that correlates best is named."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from swarmtwin.diagnosis.likelihood import LikelihoodModel
 from swarmtwin.diagnosis.reference import Reference
-from swarmtwin.geometry import exp_map, rotate, wrap_angle
+from swarmtwin.geometry import exp_map, residual_between, rotate
 from swarmtwin.transitions import Transitions
 
 Pattern = tuple[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class Rules:
-    """What the patterns are made with.
-
-    Attributes:
-        significant_z: standard errors over runs from which on a correlation counts.
-        cells: into which the arena's smaller side is divided.
-        wall_reach: of the walls, as a share of that side.
-        small_effort: share of the limit below which commands are small ones.
-        large_effort: share of the limit above which commands are large ones.
-        steady_clock: spread of the periods, as a share of them, below which they are as they should be.
-    """
-
-    significant_z: float = 4.0
-    cells: int = 5
-    wall_reach: float = 0.12
-    small_effort: float = 0.3
-    large_effort: float = 0.7
-    steady_clock: float = 0.01
-
-
 def suggested_cause(
-    reference: Reference, transitions: Transitions, simulated: np.ndarray, rules: Rules | None = None
+    reference: Reference, transitions: Transitions, simulated: np.ndarray, significant_z: float = 4.0
 ) -> str | None:
     """Return the cause whose pattern the residual follows most, None where no pattern is significant.
 
@@ -43,27 +21,20 @@ def suggested_cause(
         reference: says how large residuals are where nothing is wrong.
         transitions: N measured ones.
         simulated: (N, 3) their simulated displacements.
-        rules: None: the defaults.
+        significant_z: standard errors over runs from which on a correlation counts.
     """
-    rules = rules or Rules()
     cross_fitted = exp_map(LikelihoodModel.of_reference(reference).simulated).numpy()
-    usual = _residual(reference.session.transitions, cross_fitted).std(axis=0)
-    residual = _residual(transitions, simulated) / usual
+    usual = residual_between(cross_fitted, reference.session.transitions.displacement).std(axis=0)
+    residual = residual_between(simulated, transitions.displacement) / usual
     _, run = np.unique(transitions.run, return_inverse=True)
     strongest: dict[str, float] = {}
-    for name, pattern in _patterns(transitions, simulated, rules):
+    for name, pattern in _patterns(transitions, simulated):
         correlation, z = _correlation(residual, pattern / usual, run)
-        if abs(z) > rules.significant_z:
+        if abs(z) > significant_z:
             strongest[name] = max(strongest.get(name, 0.0), abs(correlation))
     if not strongest:
-        return _by_spread(transitions, residual, run, rules)
+        return _by_spread(transitions, residual, run, significant_z)
     return max(strongest, key=lambda name: strongest[name])
-
-
-def _residual(transitions: Transitions, simulated: np.ndarray) -> np.ndarray:
-    residual = transitions.displacement - simulated
-    residual[:, 2] = wrap_angle(residual[:, 2])
-    return residual
 
 
 def _correlation(residual: np.ndarray, pattern: np.ndarray, run: np.ndarray) -> tuple[float, float]:
@@ -74,18 +45,20 @@ def _correlation(residual: np.ndarray, pattern: np.ndarray, run: np.ndarray) -> 
     return float(product.sum() / size), float(by_run.sum() / (np.linalg.norm(by_run) + 1e-12))
 
 
-def _by_spread(transitions: Transitions, residual: np.ndarray, run: np.ndarray, rules: Rules) -> str | None:
-    """Name what shows in spreads alone."""
-    if transitions.duration_s.std() > rules.steady_clock * transitions.robot.period_s:
+def _by_spread(
+    transitions: Transitions, residual: np.ndarray, run: np.ndarray, significant_z: float, steady_clock: float = 0.01
+) -> str | None:
+    """Name what shows in spreads alone; of periods, in one of more than `steady_clock` as a share of them."""
+    if transitions.duration_s.std() > steady_clock * transitions.robot.period_s:
         return "timing_jitter"
     by_run = np.bincount(run, (residual**2).mean(axis=1)) / np.bincount(run)
     z = (by_run.mean() - 1.0) / (by_run.std(ddof=1) / np.sqrt(len(by_run)) + 1e-12)
-    return "noise_change" if abs(z) > rules.significant_z else None
+    return "noise_change" if abs(z) > significant_z else None
 
 
-def _patterns(transitions: Transitions, simulated: np.ndarray, rules: Rules) -> Iterator[Pattern]:
-    yield from _of_actuators(transitions, simulated, rules)
-    yield from _of_places(transitions, simulated, rules)
+def _patterns(transitions: Transitions, simulated: np.ndarray) -> Iterator[Pattern]:
+    yield from _of_actuators(transitions, simulated)
+    yield from _of_places(transitions, simulated)
     yield from _of_the_camera(transitions, simulated)
     late = _before(transitions, simulated) - simulated
     yield "command_delay", late
@@ -100,7 +73,10 @@ def _before(transitions: Transitions, simulated: np.ndarray) -> np.ndarray:
     return before
 
 
-def _of_actuators(transitions: Transitions, simulated: np.ndarray, rules: Rules) -> Iterator[Pattern]:
+def _of_actuators(
+    transitions: Transitions, simulated: np.ndarray, small_effort: float = 0.3, large_effort: float = 0.7
+) -> Iterator[Pattern]:
+    """Yield what actuators leave; efforts are small and large below and above these shares of the limit."""
     robot = transitions.robot
     forward, left, turn = simulated.T
     progress = transitions.time_s / max(float(transitions.time_s.max()), 1e-9)
@@ -115,19 +91,22 @@ def _of_actuators(transitions: Transitions, simulated: np.ndarray, rules: Rules)
     if columns:
         effort = transitions.command[:, columns] / robot.command_high[columns]
         before = transitions.previous_command[:, columns] / robot.command_high[columns]
-        yield "dead_band", simulated * (np.abs(effort) < rules.small_effort).any(axis=1)[:, None]
-        yield "saturation", simulated * (np.abs(effort) - rules.large_effort).clip(min=0.0).sum(axis=1)[:, None]
+        yield "dead_band", simulated * (np.abs(effort) < small_effort).any(axis=1)[:, None]
+        yield "saturation", simulated * (np.abs(effort) - large_effort).clip(min=0.0).sum(axis=1)[:, None]
         yield "backlash", simulated * (effort * before < 0).any(axis=1)[:, None]
 
 
-def _of_places(transitions: Transitions, simulated: np.ndarray, rules: Rules) -> Iterator[Pattern]:
+def _of_places(
+    transitions: Transitions, simulated: np.ndarray, cells: int = 5, wall_reach: float = 0.12
+) -> Iterator[Pattern]:
+    """Yield what places leave; the arena's smaller side has so many cells, and walls reach over this share of it."""
     arena = transitions.arena_mm
     position_mm, heading_rad = transitions.pose[:, :2], transitions.pose[:, 2]
     side_mm = float(np.min(arena.high_mm - arena.low_mm))
     wall_mm = np.minimum(position_mm - arena.low_mm, arena.high_mm - position_mm).min(axis=1).clip(min=0.0)
-    near = np.exp(-wall_mm / (rules.wall_reach * side_mm))
+    near = np.exp(-wall_mm / (wall_reach * side_mm))
     yield "wall_effect", simulated * (near - near.mean())[:, None]
-    cell = np.floor((position_mm - arena.low_mm) / side_mm * rules.cells).astype(int)
+    cell = np.floor((position_mm - arena.low_mm) / side_mm * cells).astype(int)
     for place in np.unique(cell, axis=0):
         inside = (cell == place).all(axis=1).astype(float)
         yield "surface_patch", simulated * (inside - inside.mean())[:, None]

@@ -1,10 +1,12 @@
 """Parameter fitting without model choice: every mechanism that makes sense is fitted at once, right or not."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
+from scipy.stats import norm
 
 from swarmtwin.diagnosis.likelihood import LikelihoodModel
 from swarmtwin.diagnosis.measured_session import MeasuredSession
@@ -14,94 +16,79 @@ from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
 from swarmtwin.transitions import Transitions
 
 
+def fitted_causes(reference: Reference, transitions: Transitions, most_transitions: int = 2500) -> tuple[str, ...]:
+    """Fit all mechanisms together by least squares (Levenberg-Marquardt), with intervals by runs, and name some.
+
+    Named are those of which a parameter's 95 % interval excludes the value at which it does nothing, the one farthest
+    outside first. `noise_change` and `timing_jitter` leave the mean as it is: the spread of the residuals that are
+    left, and of the periods, tells of them.
+
+    Args:
+        reference: with the simulation.
+        transitions: N measured ones.
+        most_transitions: fitted to, the first runs: about as many as fit into a few seconds.
+    """
+    conditions = conditions_of(transitions).model_copy(update={"track_mm": reference.session.conditions.track_mm})
+    session = MeasuredSession.of(transitions, conditions)
+    if len(session) > most_transitions:
+        last = session.run[np.argsort(session.run, kind="stable")[most_transitions]]
+        session = session.where(session.run <= last)
+    model = LikelihoodModel(reference.base, reference.noise, session, settings=reference.settings)
+    kinds = offered(model.robot, conditions)
+    of_the_mean = [kind for name, kind in kinds.items() if name not in ("noise_change", "timing_jitter")]
+    fit = JointFit(model, [kind for kind in of_the_mean if model.parameters([kind])])
+    values = fit.run()
+    strengths = fit.strengths(values) | fit.spreads(fit.residual(values))
+    outside = [name for name, z in strengths.items() if z > norm.ppf(0.975)]
+    return tuple(sorted(outside, key=lambda name: -strengths[name]))
+
+
 @dataclass(frozen=True)
 class JointFit:
-    """How all parameters are fitted at once.
+    """The least-squares problem over all parameters of several mechanisms at once.
 
     Attributes:
+        model: of the session.
+        kinds: the mechanisms.
         iterations: of Levenberg and Marquardt's method.
         damping: of its steps.
         clip_z: standardised residuals are clipped here.
-        named_z: standard errors from nothing from which on a mechanism is named; the default is a 95 % interval's.
-        most_transitions: fitted to, the first runs: about as many as fit into a few seconds.
         steady_clock: spread of the periods, as a share of them, below which they are as they should be.
     """
 
+    model: LikelihoodModel
+    kinds: Sequence[type[Mechanism]]
     iterations: int = 3
     damping: float = 1e-3
     clip_z: float = 4.0
-    named_z: float = 1.959964
-    most_transitions: int = 2500
     steady_clock: float = 0.01
 
+    @cached_property
+    def parameters(self) -> list[tuple[int, str, Parameter]]:
+        """All P parameters, each with the number of its mechanism."""
+        return self.model.parameters(self.kinds)
 
-@dataclass(frozen=True)
-class FittedParameters:
-    """What came out.
+    @cached_property
+    def step(self) -> np.ndarray:
+        """By how much each parameter (P,) is changed to see how the residuals respond."""
+        return np.array([parameter.response_step for _, _, parameter in self.parameters])
 
-    Attributes:
-        values: of all parameters, by mechanism and name.
-        named: mechanisms of which a parameter's 95 % interval excludes the value at which it does nothing, the one
-            farthest outside first.
-    """
-
-    values: Mapping[tuple[str, str], float]
-    named: tuple[str, ...]
-
-
-def fit_all(reference: Reference, transitions: Transitions, settings: JointFit | None = None) -> FittedParameters:
-    """Fit all mechanisms together by least squares (Levenberg-Marquardt), with intervals by runs.
-
-    `noise_change` and `timing_jitter` leave the mean as it is: the spread of the residuals that are left, and of the
-    periods, tells of them.
-    """
-    settings = settings or JointFit()
-    conditions = conditions_of(transitions).model_copy(update={"track_mm": reference.session.conditions.track_mm})
-    session = _first_runs(MeasuredSession.of(transitions, conditions), settings.most_transitions)
-    model = LikelihoodModel(reference.base, reference.noise, session, settings=reference.settings)
-    kinds = [kind for kind in offered(model.robot, conditions).values() if _has_null_value(kind, model)]
-    search = _Search(model, kinds, settings)
-    values = search.run()
-    strengths = search.strengths(values)
-    strengths |= search.spreads(search.residual(values))
-    named = sorted((name for name, z in strengths.items() if z > settings.named_z), key=lambda name: -strengths[name])
-    keys = [(kinds[number].model_fields["name"].default, name) for number, name, _ in search.parameters]
-    return FittedParameters(dict(zip(keys, values.tolist(), strict=True)), tuple(named))
-
-
-def _first_runs(session: MeasuredSession, most: int) -> MeasuredSession:
-    """Keep the first runs, about as many transitions as asked for."""
-    if len(session) <= most:
-        return session
-    return session.where(session.run <= session.run[np.argsort(session.run, kind="stable")[most]])
-
-
-def _has_null_value(kind: type[Mechanism], model: LikelihoodModel) -> bool:
-    name = kind.model_fields["name"].default
-    return name not in ("noise_change", "timing_jitter") and bool(model.parameters([kind]))
-
-
-class _Search:
-    """The joint least-squares problem over the parameters of several mechanisms."""
-
-    def __init__(self, model: LikelihoodModel, kinds: Sequence[type[Mechanism]], settings: JointFit) -> None:
-        self.model, self.kinds, self.settings = model, kinds, settings
-        self.parameters: list[tuple[int, str, Parameter]] = model.parameters(kinds)
-        self.low = np.array([parameter.low for _, _, parameter in self.parameters])
-        self.high = np.array([parameter.high for _, _, parameter in self.parameters])
-        self.step = np.array([parameter.response_step for _, _, parameter in self.parameters])
-        self.by_run = model.session.by_run
+    @cached_property
+    def high(self) -> np.ndarray:
+        """The parameters' upper bounds (P,)."""
+        return np.array([parameter.high for _, _, parameter in self.parameters])
 
     def run(self) -> np.ndarray:
         """Return the values (P,) found from where every mechanism does nothing."""
         values = np.array(
             [q.initial_values[0] if q.null_value is None else q.null_value for _, _, q in self.parameters]
         )
-        for _ in range(self.settings.iterations):
+        low = np.array([parameter.low for _, _, parameter in self.parameters])
+        for _ in range(self.iterations):
             residual, response = self.residual(values), self.response(values)
             normal, pull = self._normal(residual, response)
-            change = -np.linalg.solve(normal + self.settings.damping * np.diag(np.diag(normal) + 1.0), pull)
-            shorter = [np.clip(values + part * self.step * change, self.low, self.high) for part in (1.0, 0.3, 0.1)]
+            change = -np.linalg.solve(normal + self.damping * np.diag(np.diag(normal) + 1.0), pull)
+            shorter = [np.clip(values + part * self.step * change, low, self.high) for part in (1.0, 0.3, 0.1)]
             best = min(shorter, key=lambda tried: self._loss(self.residual(tried)))
             if self._loss(self.residual(best)) >= self._loss(residual):
                 break
@@ -135,7 +122,7 @@ class _Search:
         residual, response = self.residual(values), self.response(values)
         normal, _ = self._normal(residual, response)
         inverse = np.linalg.pinv(normal, rcond=1e-8)
-        influence = self.by_run(np.einsum("nd,ndp->np", self._held(residual), response)) @ inverse
+        influence = self.model.session.by_run(np.einsum("nd,ndp->np", self._held(residual), response)) @ inverse
         error = np.sqrt((influence**2).sum(axis=0)) * self.step + 1e-12
         strengths: dict[str, float] = {}
         for (number, _, parameter), value, own in zip(self.parameters, values, error, strict=True):
@@ -147,14 +134,14 @@ class _Search:
     def spreads(self, residual: np.ndarray) -> dict[str, float]:
         """Return by how many standard errors the residuals' and the periods' spread differ from the usual one."""
         transitions = self.model.session.transitions
-        count = self.by_run(np.ones(len(transitions)))
-        squared = self.by_run(self._held(residual) ** 2).sum(axis=1) / (3 * count)
+        count = self.model.session.by_run(np.ones(len(transitions)))
+        squared = self.model.session.by_run(self._held(residual) ** 2).sum(axis=1) / (3 * count)
         noise = abs(squared.mean() - 1.0) / (squared.std(ddof=1) / np.sqrt(len(squared)) + 1e-12)
-        is_steady = (transitions.duration_s / self.model.robot.period_s).std() <= self.settings.steady_clock
+        is_steady = (transitions.duration_s / self.model.robot.period_s).std() <= self.steady_clock
         return {"noise_change": float(noise), "timing_jitter": 0.0 if is_steady else float("inf")}
 
     def _held(self, residual: np.ndarray) -> np.ndarray:
-        return np.clip(residual, -self.settings.clip_z, self.settings.clip_z)
+        return np.clip(residual, -self.clip_z, self.clip_z)
 
     def _normal(self, residual: np.ndarray, response: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         pull = np.einsum("nd,ndp->p", self._held(residual), response)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from swarmtwin.dynamics.training import TrainingJob
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import folder_digest
 from swarmtwin.generators.generator import Generator, GeneratorConfig
@@ -98,7 +99,7 @@ class TrainingSets:
 
     Attributes:
         real: all real transitions, and how they came about.
-        amounts: how many real transitions a case is given.
+        less: how many real transitions a case is given that is not given all.
         drawn: how many synthetic ones a case is given, if it does not want as many as there are real ones.
         configs: of the published generator and of the better one.
         folder: where trained generators are, one folder each as `generate` leaves it; those missing are trained.
@@ -106,7 +107,7 @@ class TrainingSets:
     """
 
     real: Prepared
-    amounts: Mapping[Amount, int | None]
+    less: Mapping[Amount, int]
     drawn: int
     configs: Mapping[str, GeneratorConfig]
     folder: Path
@@ -132,10 +133,9 @@ class TrainingSets:
         return sum(self.real[1].transitions[split] for split in ("train", "validation"))
 
     def _real_part(self, amount: Amount) -> Prepared:
-        count = self.amounts[amount]
-        if count is None:
+        if amount == "all":
             return self.real
-        part = first_runs(self.real[0], count)
+        part = first_runs(self.real[0], self.less[amount])
         changes: dict[str, Any] = {"runs": runs_by_split(part), "transitions": counts_by_split(part)}
         return part, self.real[1].model_copy(update=changes)
 
@@ -156,3 +156,42 @@ class TrainingSets:
                 generator, _ = fit(part, self.configs[source], self.seed)
                 self._trained[source, amount] = generator, Lineage.of(preparation, part, self.seed), "not kept"
         return self._trained[source, amount]
+
+
+@dataclass(frozen=True)
+class Training:
+    """A case to train.
+
+    Attributes:
+        name: the case's.
+        case: what is trained on what.
+        preparation: how the transitions came about that it learns from.
+        jobs: one a seed.
+    """
+
+    name: str
+    case: Case
+    preparation: Preparation
+    jobs: tuple[TrainingJob, ...]
+
+    @property
+    def inputs(self) -> str:
+        """What the model is given: parts of the situation, and the walls."""
+        config, robot = self.jobs[0].config, self.jobs[0].transitions.robot
+        inputs = config.inputs(robot)
+        return ", ".join((*inputs, "walls") if config.wall_reaches and "pose" in inputs else inputs)
+
+    @property
+    def steps(self) -> int:
+        """How many optimiser steps each takes."""
+        job = self.jobs[0]
+        rows = len(job.transitions.part("train"))
+        return (job.recipe.epochs or 0) * (rows // min(job.recipe.batch_size, rows))
+
+    @property
+    def real_rows(self) -> int:
+        """How many real transitions its model, or the generator that it learns from, was trained on and chosen by."""
+        counts, generator = self.preparation.transitions, self.preparation.generator
+        if generator and self.case.source != "mixture":
+            return generator.real_transitions
+        return round(self.case.real_share * (counts["train"] + counts["validation"]))

@@ -11,7 +11,6 @@ from swarmtwin.standin.effect import Effect, Placement, change_thrust
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]
-DIGITS = 104_729.0
 
 
 class BrushedFloor(Effect):
@@ -131,7 +130,7 @@ class SwappedWheels(Effect):
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Swap by a hash of the command, so that the same command always fares alike."""
         sum_of_digits = command[0] * 12.9898 + command[1] * 78.233
-        share = np.mod(np.abs(np.sin(sum_of_digits.astype(np.float64).round(2)) * DIGITS), 1.0)
+        share = np.mod(np.abs(np.sin(sum_of_digits.astype(np.float64).round(2)) * 104_729.0), 1.0)
         return np.where(share < self.probability, command[::-1], command)
 
 
@@ -150,35 +149,34 @@ class RotatingCurrent(Effect):
         return self.speed_mm_s * np.cos(direction_rad), self.speed_mm_s * np.sin(direction_rad)
 
 
-class Whirl(Effect):
-    """Water or a tilted turntable carries vehicles round the arena's middle, faster the farther out they are."""
+class AroundMiddle(Effect):
+    """Something about the arena's middle, the faster the farther out; the speed is that at the radius."""
 
     speed_mm_s: float
     x_mm: float
     y_mm: float
     radius_mm: Positive
 
+
+class Whirl(AroundMiddle):
+    """Water or a tilted turntable carries vehicles round the arena's middle, faster the farther out they are."""
+
     def drift_velocity_mm_s(self, placement: Placement) -> tuple[Any, Any]:
-        """Carry round the middle; the speed is that at the radius."""
+        """Carry round the middle."""
         rate_s = self.speed_mm_s / self.radius_mm
         return (placement.y_mm - self.y_mm) * -rate_s, (placement.x_mm - self.x_mm) * rate_s
 
 
-class Bowl(Effect):
+class Bowl(AroundMiddle):
     """The ground sags: vehicles roll towards the middle, faster the farther out they are."""
 
-    speed_mm_s: float
-    x_mm: float
-    y_mm: float
-    radius_mm: Positive
-
     def drift_velocity_mm_s(self, placement: Placement) -> tuple[Any, Any]:
-        """Carry inwards; the speed is that at the radius."""
+        """Carry inwards."""
         rate_s = self.speed_mm_s / self.radius_mm
         return (placement.x_mm - self.x_mm) * -rate_s, (placement.y_mm - self.y_mm) * -rate_s
 
 
-OUTSIDE: dict[str, type[Effect]] = {
+EFFECTS: dict[str, type[Effect]] = {
     "brushed_floor": BrushedFloor,
     "striped_floor": StripedFloor,
     "oscillating_gain": OscillatingGain,
