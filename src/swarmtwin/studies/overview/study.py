@@ -1,7 +1,6 @@
 """`swarmtwin experiment name=overview`: the whole pipeline on one page, and as tables in the terminal."""
 
 import base64
-import json
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -13,6 +12,7 @@ from rich.table import Table
 from swarmtwin.diagnosis.report.page import CAPTIONS, Bars, gain_bars, leading_pictures
 from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.result import DiagnosisResult
+from swarmtwin.diagnosis.saved_diagnosis import RESULT, read_result
 from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
@@ -149,19 +149,20 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
         raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
     policies = _table(artifacts / "transfer" / robot_name)
     names = [] if policies is None else list(policies.policy)
-    diagnosis = _diagnosis(artifacts / "diagnosis" / robot_name)
+    diagnosed = artifacts / "diagnosis" / robot_name
+    diagnosis = read_result(diagnosed) if (diagnosed / RESULT).exists() else None
     pictures = {section: _pictures(artifacts, robot_name, section, names) for section in PICTURES}
-    films = {name: artifacts / FILM.format(robot=robot_name, policy=name) for name in names}
+    films = {name: _drawn(artifacts, FILM.format(robot=robot_name, policy=name)) for name in names}
     return Chapter(
         robot=read_description(comparison / "best").robot,
         preparation=load_preparation(artifacts / "transitions" / robot_name),
         models=pd.read_csv(comparison / "table.csv"),
         diagnosis=diagnosis,
-        report=artifacts / "diagnosis" / robot_name / "report.html",
+        report=_drawn(artifacts, f"diagnosis/{robot_name}/report.html"),
         cases=_table(artifacts / "real_and_synthetic" / robot_name),
         policies=policies,
         champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
-        pictures=pictures | {"diagnosis": _leading(artifacts / "diagnosis" / robot_name, diagnosis)},
+        pictures=pictures | {"diagnosis": _leading(artifacts, robot_name, diagnosis)},
         films={name: film for name, film in films.items() if film.exists()},
     )
 
@@ -171,20 +172,16 @@ def _table(folder: Path) -> pd.DataFrame | None:
     return pd.read_csv(file) if file.exists() else None
 
 
-def _diagnosis(folder: Path) -> DiagnosisResult | None:
-    file = folder / "diagnosis.json"
-    if not file.exists():
-        return None
-    try:
-        return DiagnosisResult.parse(json.loads(file.read_text()), str(file))
-    except json.JSONDecodeError as error:
-        raise UserError(f"{file} is damaged ({error}): run `dvc repro` again") from None
+def _drawn(artifacts: Path, path: str) -> Path:
+    """Return where a picture is: the pipeline draws into a folder of its own, a direct call beside its results."""
+    file = artifacts / "pictures" / path
+    return file if file.exists() else artifacts / path
 
 
-def _leading(folder: Path, diagnosis: DiagnosisResult | None) -> dict[str, Path]:
+def _leading(artifacts: Path, robot: str, diagnosis: DiagnosisResult | None) -> dict[str, Path]:
     """Return the pictures that show what a diagnosis found, by their captions."""
     names = [] if diagnosis is None else leading_pictures(diagnosis)
-    files = {CAPTIONS[name]: folder / "figures" / f"{name}.png" for name in names}
+    files = {CAPTIONS[name]: _drawn(artifacts, f"diagnosis/{robot}/figures/{name}.png") for name in names}
     return {caption: file for caption, file in files.items() if file.exists()}
 
 
@@ -193,7 +190,7 @@ def _pictures(artifacts: Path, robot: str, section: str, policies: list[str]) ->
     found = {}
     for path, caption in PICTURES[section].items():
         for policy in policies if "{policy}" in path else [""]:
-            file = artifacts / path.format(robot=robot, policy=policy)
+            file = _drawn(artifacts, path.format(robot=robot, policy=policy))
             if file.exists():
                 found[caption.format(policy=policy)] = file
     return found

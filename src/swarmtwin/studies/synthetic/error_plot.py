@@ -1,14 +1,27 @@
 """The picture of the comparison of real and synthetic transitions."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from swarmtwin.files import read_provenance
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 
 PLACES = {"train_vehicle": "vehicle learned from", "other_vehicle": "another vehicle"}
 UNITS = {"position_mm": "position error, mm", "orientation_deg": "orientation error, °"}
+
+
+def draw_cases(made: Path, output: Path) -> None:
+    """Draw into `output` the table.csv in `made`.
+
+    Raises:
+        UserError: `made` is not a folder of swarmtwin's.
+    """
+    _, options = read_provenance(made)
+    cases_figure(pd.read_csv(made / "table.csv"), options["robot"]["title"]).savefig(output / "errors.png")
 
 
 def cases_figure(table: pd.DataFrame, title: str, mark: float = 1.02, widest: float = 1.3) -> Figure:

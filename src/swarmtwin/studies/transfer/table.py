@@ -6,7 +6,7 @@ import pandas as pd
 from rich import box
 from rich.table import Table
 
-MOTIONS = {"simulation": "simulation", "stand_in": "stand-ins"}
+from swarmtwin.policies.rollout_comparison import MOTION_NAMES
 
 
 class PolicyRow(NamedTuple):
@@ -28,12 +28,12 @@ def policy_rows(table: pd.DataFrame) -> list[PolicyRow]:
         PolicyRow(
             policy=row["policy"],
             learned_in=row["simulation"],
-            where=list(MOTIONS.values()),
-            reward=[f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in MOTIONS],
+            where=list(MOTION_NAMES.values()),
+            reward=[f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in MOTION_NAMES],
             difference=f"{row['reward_difference_percent_value']:+.1f}",
-            success=[_rate(row, f"{motion}_success") for motion in MOTIONS],
-            collisions=[f"{row[f'{motion}_collision']:.0%}" for motion in MOTIONS],
-            time_s=[f"{row[f'{motion}_reach_time_s']:.0f}" for motion in MOTIONS],
+            success=[_rate(row, f"{motion}_success") for motion in MOTION_NAMES],
+            collisions=[f"{row[f'{motion}_collision']:.0%}" for motion in MOTION_NAMES],
+            time_s=[f"{row[f'{motion}_reach_time_s']:.0f}" for motion in MOTION_NAMES],
         )
         for row in table.to_dict("records")
     ]
