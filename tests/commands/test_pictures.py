@@ -1,11 +1,14 @@
 """`swarmtwin experiment name=pictures`: what a command left, drawn again from its folder alone."""
 
 import shutil
+from pathlib import Path
 
+import mlflow
 import pytest
 from test_experiments import COMPARISON
 from test_learn import QUICK
 
+from swarmtwin.tracking.runs import use_store
 from tiny_policies import save_seeker, simulation
 
 
@@ -52,6 +55,12 @@ def test_so_are_comparisons_and_a_command_can_leave_drawing_to_it(swarmtwin, mod
     assert set(again) == {"errors_train_vehicle.png", "errors_other_vehicle.png", "runs_kinematic.png"}
     assert {name: picture for name, picture in drawn.items() if not name.startswith("best/")} == again == later
     assert not {name for name in bare if not name.startswith("best/")}
+    use_store()
+    run = mlflow.search_runs(filter_string="params.output = 'bare'", search_all_experiments=True, output_format="list")[
+        0
+    ]
+    kept = mlflow.MlflowClient().list_artifacts(run.info.run_id, "pictures")
+    assert {Path(entry.path).name for entry in kept} - {"provenance.json"} == set(again)
 
 
 def test_so_are_rollouts_with_their_films(swarmtwin, workshop, robots):

@@ -36,8 +36,9 @@ def history_figure(history: pd.DataFrame, best_epochs: Mapping[int, int]) -> Fig
         figure = Figure(figsize=(8, 3), layout="constrained")
         panels = figure.subplots(1, 2)
         for panel, name, unit in zip(panels, ("position", "orientation"), ("mm", "deg"), strict=True):
-            for number, (seed, epochs) in enumerate(history.groupby("seed", sort=False)):
-                _draw_history(panel, epochs, best_epochs[seed], f"{name}_{unit}", labelled=number == 0)
+            for number, (seed, best_epoch) in enumerate(best_epochs.items()):
+                epochs = history[history.seed == seed]
+                _draw_history(panel, epochs, best_epoch, f"{name}_{unit}", labelled=number == 0)
             panel.set(xlabel="epoch", ylabel=f"{name} error, {'°' if unit == 'deg' else unit}", yscale="log")
             panel.yaxis.set_major_formatter("{x:g}")
             panel.yaxis.set_minor_formatter("{x:g}")

@@ -57,7 +57,7 @@ def quality_figure(marginals: pd.DataFrame, quality: Quality, title: str) -> Fig
 
 def training_figure(history: pd.DataFrame) -> Figure:
     """Draw each loss and validation figure of a history.csv over the steps."""
-    names = [name for name in history if name != "step"]
+    names = [name for name in map(str, history) if name != "step"]
     with style():
         figure = Figure(figsize=(2.6 * len(names), 2.6), layout="constrained")
         for panel, name in zip(figure.subplots(1, len(names), squeeze=False).flat, names, strict=True):

@@ -5,6 +5,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,8 @@ SCENARIO_ARRAYS = tuple(field.name for field in fields(Scenario))
 
 def save_rollouts(file: Path, rollouts: Mapping[str, Rollout]) -> None:
     """Write roll-outs, by what moved the vehicles, to a file `.npz`."""
-    about, arrays = {}, {}
+    about: dict[str, Any] = {}
+    arrays: dict[str, np.ndarray] = {}
     for motion, rollout in rollouts.items():
         parts = {"robot": rollout.robot, "arena": rollout.arena, "task": rollout.task}
         about[motion] = {name: part.model_dump(mode="json") for name, part in parts.items()}

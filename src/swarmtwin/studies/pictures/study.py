@@ -18,6 +18,7 @@ from swarmtwin.simulation.evaluation_plots import draw_evaluation
 from swarmtwin.studies.dynamics.comparison_plots import draw_comparison
 from swarmtwin.studies.synthetic.error_plot import draw_cases
 from swarmtwin.studies.transfer.transfer_plots import draw_transfer
+from swarmtwin.tracking.runs import keep_with_run
 from swarmtwin.transitions.displacement_plots import draw_preparation
 
 DRAWINGS: dict[str, Callable[[Path, Path], None]] = {
@@ -45,7 +46,7 @@ class Options(StrictModel):
 
 
 def run(options: Options) -> None:
-    """Draw what one command left, or what several left in one folder.
+    """Draw what one command left, or what several left in one folder, and keep it with their runs.
 
     Raises:
         UserError: there is nothing that can be drawn, a file of it is missing or damaged, or the output is taken.
@@ -57,6 +58,7 @@ def run(options: Options) -> None:
             place = output / folder.relative_to(options.folder)
             place.mkdir(exist_ok=True)
             draw(folder, place)
+            keep_with_run(folder, place)
     Console().print(f"pictures: {options.output}", highlight=False, soft_wrap=True)
 
 
