@@ -56,9 +56,8 @@ def test_so_are_comparisons_and_a_command_can_leave_drawing_to_it(swarmtwin, mod
     assert {name: picture for name, picture in drawn.items() if not name.startswith("best/")} == again == later
     assert not {name for name in bare if not name.startswith("best/")}
     use_store()
-    run = mlflow.search_runs(filter_string="params.output = 'bare'", search_all_experiments=True, output_format="list")[
-        0
-    ]
+    asked = {"experiment_names": ["dynamics"], "filter_string": "params.output = 'bare'", "output_format": "list"}
+    (run,) = mlflow.search_runs(**asked)
     kept = mlflow.MlflowClient().list_artifacts(run.info.run_id, "pictures")
     assert {Path(entry.path).name for entry in kept} - {"provenance.json"} == set(again)
 

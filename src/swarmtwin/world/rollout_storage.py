@@ -22,7 +22,7 @@ SCENARIO_ARRAYS = tuple(field.name for field in fields(Scenario))
 def save_rollouts(file: Path, rollouts: Mapping[str, Rollout]) -> None:
     """Write roll-outs, by what moved the vehicles, to a file `.npz`."""
     about: dict[str, Any] = {}
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Any] = {}
     for motion, rollout in rollouts.items():
         parts = {"robot": rollout.robot, "arena": rollout.arena, "task": rollout.task}
         about[motion] = {name: part.model_dump(mode="json") for name, part in parts.items()}
