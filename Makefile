@@ -40,13 +40,13 @@ pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time; who finds it b
 pipeline@%:
 	@sleep $(or $(WAIT),0)
 	@bash -o pipefail -c 'for try in 1 2 3 4 5; do \
-	  $(BIN)/dvc repro comparison@$* real_and_synthetic@$* $(if $(filter mgr,$*),diagnosis@$*) transfer@$* 2>&1 \
+	  $(BIN)/dvc repro --glob "pictures@$*-*" $(if $(filter mgr,$*),report@$*) 2>&1 \
 	    | tee .$*.partial | sed -u "s/^/$*: /"; status=$$?; \
 	  grep -q "Unable to acquire lock" .$*.partial || break; sleep 15; done; rm -f .$*.partial; exit $$status'
 
 test: setup
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/pytest -n 2 -m "not benchmark_figures" tests
+	$(BIN)/pytest -n 2 --dist worksteal -m "not benchmark_figures" tests
 	$(BIN)/pytest --nbmake notebooks
 
 benchmark: setup

@@ -27,9 +27,10 @@ def new_folder(
 ) -> Iterator[Path]:
     """Give a folder beside `path` to write into; rename it to `path` when the block ends without an exception.
 
-    Every folder made here holds `provenance.json` (command, version, config). `overwrite` replaces only a folder that
-    the same command made, so that nothing else of the user's is ever deleted. With `keep_partial` an interrupted block
-    leaves its unfinished folder aside and the next call continues in it: the caller keeps its checkpoints there.
+    Every folder made here holds `provenance.json` (command, version, config), from the beginning of the block on.
+    `overwrite` replaces only a folder that the same command made, so that nothing else of the user's is ever deleted.
+    With `keep_partial` an interrupted block leaves its unfinished folder aside and the next call continues in it: the
+    caller keeps its checkpoints there.
 
     Raises:
         UserError: `path` is taken, lies in or around one of the `inputs`, or another process is writing it.
@@ -45,9 +46,9 @@ def new_folder(
             shutil.rmtree(partial)
         partial.mkdir(exist_ok=True)
         try:
-            yield partial
             provenance = {"swarmtwin": __version__, "command": command, "config": config or {}}
             (partial / PROVENANCE).write_text(json.dumps(provenance, indent=1, default=str) + "\n")
+            yield partial
             _replace_folder(partial, path)
         except BaseException:
             if not keep_partial:
@@ -114,11 +115,23 @@ def _check_apart(output: Path, given: Path) -> None:
         raise UserError(f"output {output} would lie inside the input {given}: choose another folder")
 
 
-def _made_by(folder: Path) -> str | None:
+def read_provenance(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the command that made a folder, and its options.
+
+    Raises:
+        UserError: the folder is not there, or was not made by swarmtwin.
+    """
     try:
-        return str(json.loads((folder / PROVENANCE).read_text())["command"])
+        content = json.loads((folder / PROVENANCE).read_text())
+        return str(content["command"]), dict(content["config"])
     except (OSError, ValueError, KeyError, TypeError):
-        return None
+        raise UserError(f"{folder} was not made by swarmtwin: name an output folder of one of its commands") from None
+
+
+def _made_by(folder: Path) -> str | None:
+    with contextlib.suppress(UserError):
+        return read_provenance(folder)[0]
+    return None
 
 
 @contextlib.contextmanager

@@ -57,6 +57,7 @@ def test_what_generate_leaves_is_whole_tracked_and_the_same_for_the_same_seed(sw
         "generator",
         "transitions",
         "quality.json",
+        "marginals.csv",
         "quality.png",
         "history.csv",
         "history.png",

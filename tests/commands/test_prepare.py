@@ -34,6 +34,7 @@ def options(robots, recording, tmp_path):
             "robot": robots["mgr"].model_dump(),
             "recording": str(recording),
             "split": SPLIT,
+            "pictures": True,
             "output": str(tmp_path / "prepared"),
             "overwrite": False,
         }

@@ -27,7 +27,8 @@ def test_both_worlds_start_alike_and_are_told_side_by_side(swarmtwin, workshop):
     answer = swarmtwin(*ROLLOUT, "video=true", "speed=16", "output=out")
     assert answer.status == 0, answer.error
     files = sorted(path.name for path in (workshop / "out").iterdir())
-    assert files == ["metrics.json", "provenance.json", "rollout.mp4", "rollouts.parquet", "rollouts.png"]
+    drawn = ["rollout.mp4", "rollouts.png"]
+    assert files == sorted(["metrics.json", "provenance.json", "rollouts.npz", "rollouts.parquet", *drawn])
     metrics = json.loads((workshop / "out" / "metrics.json").read_text())
     assert metrics["simulation"]["rollouts"] == metrics["stand_in"]["rollouts"] == 12
     steps = pd.read_parquet(workshop / "out" / "rollouts.parquet")

@@ -10,6 +10,7 @@ from swarmtwin.diagnosis.diagnose import diagnose
 from swarmtwin.diagnosis.gains import scored_tracks
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
+from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
 from swarmtwin.studies.hidden_effects.sessions import reference_session
@@ -84,5 +85,6 @@ def test_the_report_draws_the_recordings_own_walls(tmp_path, monkeypatch):
     draw = page.field_figure
     monkeypatch.setattr(page, "field_figure", lambda *given: walls.append(given[3]) or draw(*given))
     transitions = dataclasses.replace(session.transitions, arena_mm=arena)
-    page.write_report(tmp_path, dataclasses.replace(session, transitions=transitions))
+    save_findings(tmp_path, dataclasses.replace(session, transitions=transitions))
+    page.draw_diagnosis(tmp_path, tmp_path)
     assert set(map(str, walls)) == {str(arena)}

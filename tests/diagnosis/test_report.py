@@ -19,7 +19,7 @@ from diagnosis_factories import (
     parts_of,
 )
 
-from swarmtwin.diagnosis.report.page import gain_bars, leading_pictures, write_report
+from swarmtwin.diagnosis.report.page import draw_diagnosis, gain_bars, leading_pictures
 from swarmtwin.diagnosis.report.residual_fields import field_choices
 from swarmtwin.diagnosis.report.residual_plots import runs_figure
 from swarmtwin.diagnosis.report.sentences import (
@@ -32,6 +32,7 @@ from swarmtwin.diagnosis.report.sentences import (
     verdict_words,
 )
 from swarmtwin.diagnosis.result import Dependence, Estimate, Gain
+from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, save_findings
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names
 
@@ -61,7 +62,9 @@ class Page(HTMLParser):
 
 
 def page_of(session, folder):
-    write_report(folder, session)
+    """The page of a session, made from its files alone."""
+    save_findings(folder, session)
+    draw_diagnosis(folder, folder)
     return Page((folder / "report.html").read_text())
 
 
@@ -88,6 +91,22 @@ def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     assert "previous command yes 0.0005 20.0 % 3.25" in page.text
     assert "17 fitted to, 7 held out" in page.text
     assert "960 used, 12 set aside" in page.text
+
+
+def test_a_report_is_made_of_what_was_diagnosed(tmp_path):
+    session = made_session(made_result(), moved_late, vehicles=("1", "2"))
+    save_findings(tmp_path, session)
+    saved = SavedDiagnosis.read(tmp_path)
+    assert saved.result == session.result
+    for name in ("held_out", "residual_before", "residual_after"):
+        np.testing.assert_array_equal(getattr(saved, name), getattr(session, name))
+    np.testing.assert_array_equal(saved.transitions.neighbours, session.transitions.neighbours)
+    for own, given in ((saved.runs_before, session.runs_before), (saved.runs_after, session.runs_after)):
+        for run, expected in zip(own, given, strict=True):
+            assert (run.track.run, run.track.vehicle) == (expected.track.run, expected.track.vehicle)
+            assert run.rmse_mm == expected.rmse_mm
+            np.testing.assert_array_equal(run.track.pose, expected.track.pose)
+            np.testing.assert_array_equal(run.predicted, expected.predicted)
 
 
 def test_nobody_must_know_statistics_to_read_what_is_not_folded_away(tmp_path):

@@ -1,4 +1,5 @@
 import numpy as np
+import pandas as pd
 import pytest
 
 from swarmtwin.dynamics.error_plots import comparison_figure, history_figure, scatter_figure
@@ -37,11 +38,19 @@ def test_no_runs_give_an_empty_figure(robots, tmp_path):
 
 
 def test_the_history_shows_every_seed_and_the_epoch_kept(trained):
-    figure = history_figure(trained.results)
+    rows = [
+        {"seed": result.seed, "epoch": number, **epoch._asdict()}
+        for result in trained.results
+        for number, epoch in enumerate(result.history, start=1)
+    ]
+    figure = history_figure(pd.DataFrame(rows), {result.seed: result.best for result in trained.results})
     curves = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 1]
     assert len(curves) == 2 * len(trained.results)
     errors = [epoch.validation_position_mm for epoch in trained.results[0].history]
     assert any(np.array_equal(line.get_ydata(), errors) for line in curves)
+    dots = {tuple(line.get_xydata()[0]) for line in figure.axes[0].lines if len(line.get_xdata()) == 1}
+    kept = [(result.best, result.history[result.best - 1].validation_position_mm) for result in trained.results]
+    assert dots == set(kept)
 
 
 def test_the_scatter_shows_turns_in_degrees():

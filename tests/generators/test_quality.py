@@ -11,6 +11,7 @@ from swarmtwin.generators.quality import (
     assess,
     coverage,
     exact_copies,
+    marginals,
     mean_neighbour_distance,
     nearer_to_first,
     told_apart,
@@ -100,5 +101,5 @@ def test_the_two_sample_test_keeps_its_level():
 
 def test_the_figure_shows_every_column(columns, sets):
     quality = assess(columns, sets, "test", 0.0, seed=0)
-    titles = " ".join(panel.get_title() for panel in quality_figure(columns, sets, quality, "a title").axes)
+    titles = " ".join(panel.get_title() for panel in quality_figure(marginals(columns, sets), quality, "a title").axes)
     assert all(name in titles for name in columns.units)

@@ -9,6 +9,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.policies.reward_plots import rewards_figure, success_figure
 from swarmtwin.policies.rollout_comparison import metrics_of, reward_difference, rollout_table, tracked_figures
 from swarmtwin.world.rollout import Rate, Rollout
+from swarmtwin.world.rollout_storage import load_rollouts, save_rollouts
 from swarmtwin.world.scenario import Scenario
 from tiny_policies import robot_named, task_named
 
@@ -90,6 +91,20 @@ def test_every_moment_is_in_the_table_until_the_rollout_ended():
     one = rollouts(np.full(3, -2.0), lasted=7)
     row = table[(table.rollout == 2) & (table.vehicle == 4) & (table.time_s == 1.5)].iloc[0]
     assert row.x_mm == one.pose[3, 2, 3, 0]
+
+
+def test_saved_rollouts_are_the_same_again_or_told_to_be_damaged(tmp_path):
+    both = {"simulation": rollouts(np.full(12, -2.0), lasted=7), "stand_in": rollouts(np.full(12, -2.1))}
+    file = tmp_path / "rollouts.npz"
+    save_rollouts(file, both)
+    for motion, loaded in load_rollouts(file).items():
+        given = both[motion]
+        assert (loaded.robot, loaded.arena, loaded.task) == (given.robot, given.arena, given.task)
+        for name in ("pose", "reward", "counted", "success", "reach_time_s", "target_distance_mm"):
+            np.testing.assert_array_equal(getattr(loaded, name), getattr(given, name))
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(UserError, match=r"rollouts\.npz: no roll-outs can be read"):
+        load_rollouts(file)
 
 
 def test_pictures_show_every_policy():

@@ -11,6 +11,7 @@ from rich.table import Table
 from swarmtwin.diagnosis.diagnose import diagnose
 from swarmtwin.diagnosis.diagnosis_folder import EXTENDED, extension_provenance, save_diagnosis
 from swarmtwin.diagnosis.reference_inputs import reference_for
+from swarmtwin.diagnosis.report.page import draw_diagnosis
 from swarmtwin.diagnosis.result import DiagnosedSession, DiagnosisResult, Gain
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.provenance import Provenance
@@ -38,12 +39,13 @@ class Options(StrictModel):
     device: Device
     seed: Seed
     register_model: Annotated[bool, Field(alias="register")]
+    pictures: bool
     output: Path | None
     overwrite: bool
 
 
 def run(options: Options) -> None:
-    """Diagnose, save the diagnosis with its report and the extended simulation, track and register.
+    """Diagnose, save the diagnosis, the extended simulation and the report, track and register.
 
     Raises:
         UserError: neither or unusable reference or simulation, an unusable measured recording, or the output is taken.
@@ -77,10 +79,13 @@ def run(options: Options) -> None:
             recorded = options.measured.resolve().name
             provenance = extension_provenance(diagnosed, measured, recorded, learned, about, options.seed)
             save_diagnosis(inside, diagnosed, provenance)
+            if options.pictures:
+                draw_diagnosis(inside, inside)
         _track(tracked, output, diagnosed)
         registered = _registered(options, tracked, output, diagnosed)
     Console().print(table(diagnosed.result))
-    Console().print(f"{output / 'report.html'}: {registered}", highlight=False, soft_wrap=True)
+    page = "report.html" if options.pictures else "diagnosis.json"
+    Console().print(f"{output / page}: {registered}", highlight=False, soft_wrap=True)
 
 
 def _track(tracked: TrackedRun, output: Path, diagnosed: DiagnosedSession) -> None:

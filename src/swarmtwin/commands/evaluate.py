@@ -1,20 +1,17 @@
 """`swarmtwin evaluate`: a simulation model against measured runs."""
 
-import json
 from pathlib import Path
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
-from swarmtwin.dynamics.error_plots import scatter_figure
-from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.model_folder import read_description
-from swarmtwin.files import check_output, folder_digest, new_folder, write_text
+from swarmtwin.files import check_output, folder_digest, new_folder
 from swarmtwin.learning.trainer import Device, torch_device
-from swarmtwin.robot import Arena, Robot, StrictModel
-from swarmtwin.simulation.evaluation import Measured, Measurement, load_simulation, measure
-from swarmtwin.simulation.open_loop_plots import runs_figure
+from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.simulation.evaluation import Measured, load_simulation, measure
+from swarmtwin.simulation.evaluation_folder import save_measurement
+from swarmtwin.simulation.evaluation_plots import draw_evaluation
+from swarmtwin.simulation.evaluation_table import measurement_table
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
@@ -51,53 +48,10 @@ def run(options: Options) -> None:
         with new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder:
             measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
             about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
-            write_text(folder / "metrics.json", json.dumps({**about, **measurement.metrics()}, indent=1) + "\n")
-            _draw(folder, measurement, recording.header.arena_mm)
+            save_measurement(folder, measurement, recording.header.arena_mm, about)
+            draw_evaluation(folder, folder)
         tracked.metrics(measurement.overall.tracked())
         tracked.tag("simulation.digest", folder_digest(simulation))
         tracked.folder(options.output, "evaluation")
-    Console().print(table(name, measurement))
+    Console().print(measurement_table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)
-
-
-def table(name: str, measurement: Measurement) -> Table:
-    """Return a table a person reads: the figures of each vehicle, and of all; mean ± standard deviation."""
-    title = f"{name}{', held-out runs' if measurement.held_out else ''}"
-    floor = "floor" if measurement.overall.floor_kind == "exact" else "floor, estimate"
-    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title)
-    shown.add_column("\nvehicle", no_wrap=True)
-    for heading in (
-        "transi-\ntions",
-        "one-step\nmm, °",
-        f"{floor}\nmm, °",
-        "model error\nmm, °",
-        "open loop\nmm",
-        "\nruns",
-    ):
-        shown.add_column(heading, justify="right", no_wrap=True)
-    rows = list(measurement.vehicles.items())
-    if len(rows) > 1:
-        rows.append(("all", measurement.overall))
-    for vehicle, figures in rows:
-        errors = [_errors_text(figure) for figure in (figures.one_step, figures.floor, figures.model_error)]
-        loop = figures.open_loop
-        loop_cells = (f"{loop.rmse_mm:.0f} ± {loop.rmse_sd_mm:.0f}", str(loop.runs)) if loop else ("", "")
-        shown.add_row(vehicle, str(figures.one_step.transitions), *errors, *loop_cells)
-    shown.caption = "mean ± standard deviation, position above orientation"
-    if history := measurement.overall.floors.get("history"):
-        position, orientation = _errors_text(history.error).splitlines()
-        kind = "" if history.kind == "exact" else ", estimate"
-        shown.caption += f"\nfloor given the commands before as well{kind}: {position} mm, {orientation}°"
-    return shown
-
-
-def _errors_text(figure: ErrorFigure | None) -> str:
-    if figure is None:
-        return ""
-    position = f"{figure.position_mm:.2f} ± {figure.position_sd_mm:.2f}"
-    return f"{position}\n{figure.orientation_deg:.2f} ± {figure.orientation_sd_deg:.2f}"
-
-
-def _draw(folder: Path, measurement: Measurement, arena: Arena) -> None:
-    runs_figure(measurement.runs, arena).savefig(folder / "runs.png")
-    scatter_figure(measurement.predicted, measurement.transitions.displacement).savefig(folder / "scatter.png")

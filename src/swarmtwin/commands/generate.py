@@ -16,6 +16,7 @@ from swarmtwin.files import check_output, new_folder, output_folder
 from swarmtwin.generators.generator import generator_config
 from swarmtwin.generators.generator_folder import load_generator, read_description
 from swarmtwin.generators.quality import Quality
+from swarmtwin.generators.quality_plots import draw_synthesis
 from swarmtwin.generators.sampling import Drawn, draw_believable
 from swarmtwin.generators.synthesis import GENERATOR, TRANSITIONS, Synthesis, save_drawn, save_synthesis, synthesise
 from swarmtwin.generators.training import Record, Report
@@ -40,6 +41,7 @@ class Options(StrictModel):
     count: Annotated[int, Field(ge=2)] | None
     device: Device
     seed: Seed
+    pictures: bool
     output: Path | None
     overwrite: bool
 
@@ -110,6 +112,8 @@ def _train(options: Options, robot: Robot) -> None:
                     device=options.device,
                 )
             save_synthesis(folder, made, options.seed)
+            if options.pictures:
+                draw_synthesis(folder, folder)
         _track(tracked, made, time.monotonic() - started)
         tracked.folder(output / GENERATOR, GENERATOR)
     Console().print(_table(name, made.quality))

@@ -17,6 +17,7 @@ from swarmtwin.learning.trainer import Device, torch_device
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.learned_folder import origin_of, save_learned
 from swarmtwin.policies.policy_folder import PolicyProvenance
+from swarmtwin.policies.reward_plots import draw_learning
 from swarmtwin.policies.training import (
     PolicyJob,
     Schedule,
@@ -44,6 +45,7 @@ class Options(StrictModel):
     seed: Seed
     seeds: Annotated[int, Field(ge=1)]
     register_model: Annotated[bool, Field(alias="register")]
+    pictures: bool
     output: Path | None
     overwrite: bool
 
@@ -72,6 +74,8 @@ def run(options: Options) -> None:
             with training_bars(name, algorithm.steps) as report:
                 results = learn_all(jobs, report)
             provenance = save_learned(folder, task, jobs[0], results, origin)
+            if options.pictures:
+                draw_learning(folder, folder)
             shutil.rmtree(folder / "checkpoints", ignore_errors=True)
         _track(tracked, results, provenance, time.monotonic() - started)
         kept = tracked.folder(output, "policy")

@@ -10,7 +10,7 @@ from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.tracks import ROW_REASONS
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import SPLITS, Preparation, SplitOptions, from_recording, split_by_run
-from swarmtwin.transitions.displacement_plots import coverage_figure
+from swarmtwin.transitions.displacement_plots import draw_preparation
 from swarmtwin.transitions.extraction import REASONS
 from swarmtwin.transitions.preparation import describe, save_preparation
 
@@ -21,6 +21,7 @@ class Options(StrictModel):
     robot: Robot
     recording: Path
     split: SplitOptions
+    pictures: bool
     output: Path
     overwrite: bool
 
@@ -39,7 +40,8 @@ def run(options: Options) -> None:
         name = options.recording.resolve().name
         preparation = describe(recording, name, transitions, counts, options.split.fractions, options.split.seed)
         save_preparation(folder, transitions, preparation)
-        coverage_figure(transitions).savefig(folder / "coverage.png")
+        if options.pictures:
+            draw_preparation(folder, folder)
     for table in summary(preparation):
         Console().print(table)
 

@@ -9,6 +9,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from swarmtwin.dynamics.error_plots import draw_training
 from swarmtwin.dynamics.model_config import ModelConfig, model_config
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.trained_folder import TrainingData, provenance_of, save_trained
@@ -40,6 +41,7 @@ class Options(StrictModel):
     seed: Seed
     seeds: Annotated[int, Field(ge=1)]
     register_model: Annotated[bool, Field(alias="register")]
+    pictures: bool
     output: Path | None
     overwrite: bool
 
@@ -71,6 +73,8 @@ def run(options: Options) -> None:
             trained = _train(options, config, data.transitions, folder / "checkpoints")
             provenance = provenance_of(trained, data.preparation)
             save_trained(folder, trained, provenance, data.evidence)
+            if options.pictures:
+                draw_training(folder, folder)
             shutil.rmtree(folder / "checkpoints", ignore_errors=True)
         _track(tracked, trained, provenance, time.monotonic() - started)
         kept = tracked.folder(output, "model")

@@ -7,10 +7,9 @@ import numpy as np
 import pandas as pd
 
 from swarmtwin.diagnosis.next_recording import DRIVE_FILE
-from swarmtwin.diagnosis.report.page import write_report
 from swarmtwin.diagnosis.result import DiagnosedSession
+from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
-from swarmtwin.files import write_text
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation_folder import save_extended
 
@@ -51,10 +50,8 @@ def extension_provenance(
 
 
 def save_diagnosis(folder: Path, diagnosed: DiagnosedSession, provenance: Provenance) -> None:
-    """Write diagnosis.json, the report, and, if there are any, the next drive and the extended simulation."""
-    diagnosis = diagnosed.result
-    write_text(folder / "diagnosis.json", diagnosis.model_dump_json(indent=1) + "\n")
-    write_report(folder, diagnosed)
+    """Write what is found and the residuals, and, if there are any, the next drive and the extended simulation."""
+    save_findings(folder, diagnosed)
     if diagnosed.next_drive is not None:
         columns = list(diagnosed.simulation.robot.command_columns)
         pd.DataFrame(diagnosed.next_drive, columns=columns).to_csv(folder / DRIVE_FILE, index=False)

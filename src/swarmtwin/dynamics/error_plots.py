@@ -1,26 +1,44 @@
 """Pictures of dynamics models: training, one-step scatter, and errors against the floor."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmtwin.dynamics.evaluation import ErrorFigure
-from swarmtwin.dynamics.training import SeedResult
+from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 
 COMPONENTS = (("forward", "mm", 1.0), ("left", "mm", 1.0), ("turn", "°", 180 / np.pi))
 
 
-def history_figure(results: Sequence[SeedResult]) -> Figure:
-    """Draw training and validation errors of every seed over the epochs; a dot marks the epoch that was kept."""
+def draw_training(made: Path, output: Path) -> None:
+    """Draw into `output` how the model in `made` learned, from its `history.csv`.
+
+    Raises:
+        UserError: there is no model in `made`.
+    """
+    best_epochs = {outcome.seed: outcome.best_epoch for outcome in Provenance.read(made).seeds}
+    history_figure(pd.read_csv(made / "history.csv"), best_epochs).savefig(output / "history.png")
+
+
+def history_figure(history: pd.DataFrame, best_epochs: Mapping[int, int]) -> Figure:
+    """Draw training and validation errors of every seed over the epochs; a dot marks the epoch that was kept.
+
+    Args:
+        history: history.csv, a row for each epoch of each seed.
+        best_epochs: the epoch kept of each seed, counted from 1; 0 for none.
+    """
     with style():
         figure = Figure(figsize=(8, 3), layout="constrained")
         panels = figure.subplots(1, 2)
         for panel, name, unit in zip(panels, ("position", "orientation"), ("mm", "deg"), strict=True):
-            for result in results:
-                _draw_history(panel, result, f"{name}_{unit}", labelled=result is results[0])
+            for number, (seed, best_epoch) in enumerate(best_epochs.items()):
+                epochs = history[history.seed == seed]
+                _draw_history(panel, epochs, best_epoch, f"{name}_{unit}", labelled=number == 0)
             panel.set(xlabel="epoch", ylabel=f"{name} error, {'°' if unit == 'deg' else unit}", yscale="log")
             panel.yaxis.set_major_formatter("{x:g}")
             panel.yaxis.set_minor_formatter("{x:g}")
@@ -64,11 +82,10 @@ def comparison_figure(errors: Mapping[str, ErrorFigure], floor: ErrorFigure, flo
     return figure
 
 
-def _draw_history(panel: Axes, result: SeedResult, quantity: str, labelled: bool) -> None:
-    epochs = np.arange(1, len(result.history) + 1)
+def _draw_history(panel: Axes, epochs: pd.DataFrame, best_epoch: int, quantity: str, labelled: bool) -> None:
     for part, colour in (("train", FLOOR), ("validation", PREDICTED)):
-        errors = [getattr(epoch, f"{part}_{quantity}") for epoch in result.history]
-        panel.plot(epochs, errors, color=colour, alpha=0.8, linewidth=1, label=part if labelled else None)
-    if result.best:
-        kept = getattr(result.history[result.best - 1], f"validation_{quantity}")
-        panel.plot(result.best, kept, "o", color=PREDICTED, markersize=4)
+        label = part if labelled else None
+        panel.plot(epochs.epoch, epochs[f"{part}_{quantity}"], color=colour, alpha=0.8, linewidth=1, label=label)
+    if best_epoch:
+        kept = epochs.loc[epochs.epoch == best_epoch, f"validation_{quantity}"]
+        panel.plot(best_epoch, kept.item(), "o", color=PREDICTED, markersize=4)

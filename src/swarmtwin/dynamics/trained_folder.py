@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pandas as pd
 
-from swarmtwin.dynamics.error_plots import history_figure
 from swarmtwin.dynamics.model_folder import save_dynamics, save_evidence
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
 from swarmtwin.dynamics.training import Trained
@@ -96,6 +95,5 @@ def save_trained(folder: Path, trained: Trained, provenance: Provenance, evidenc
         for number, epoch in enumerate(result.history, start=1)
     ]
     pd.DataFrame(history).to_csv(folder / "history.csv", index=False, float_format="%.5f")
-    history_figure(trained.results).savefig(folder / "history.png")
     if len(evidence):
         save_evidence(folder, evidence)

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.spatial import cKDTree
 from scipy.stats import ks_2samp
 from sklearn.ensemble import HistGradientBoostingClassifier
@@ -191,6 +192,19 @@ def assess(
         exact_copies=exact_copies(sets.synthetic, sets.learned),
         redrawn_share=redrawn_share,
     )
+
+
+def marginals(columns: Columns, sets: Sets, bins: int = 40) -> pd.DataFrame:
+    """Return each column's histogram, a row a bin: column, unit, low, high, and the density of each set."""
+    parts = []
+    for number, (name, unit) in enumerate(columns.units.items()):
+        values = {set_name: rows[:, number] for set_name, rows in sets._asdict().items()}
+        ends = min(part.min() for part in values.values()), max(part.max() for part in values.values())
+        edges = np.linspace(*ends, bins + 1)
+        density = {set_name: np.histogram(part, edges, density=True)[0] for set_name, part in values.items()}
+        about = {"column": name, "unit": unit, "low": edges[:-1], "high": edges[1:]}
+        parts.append(pd.DataFrame({**about, **density}))
+    return pd.concat(parts, ignore_index=True).rename(columns={"learned": "learned_from"})
 
 
 class Ruler:

@@ -1,32 +1,48 @@
 """Pictures of synthetic transitions beside real ones that the generator has never seen, and of its training."""
 
-from collections.abc import Sequence
+import json
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from swarmtwin.generators.columns import Columns
-from swarmtwin.generators.quality import Quality, Sets
-from swarmtwin.generators.training import Record
+from swarmtwin.files import read_provenance
+from swarmtwin.generators.quality import Quality
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 
 COLOURS = {"held out": MEASURED, "learned from": FLOOR, "synthetic": PREDICTED}
 
 
-def quality_figure(columns: Columns, sets: Sets, quality: Quality, title: str) -> Figure:
-    """Draw each column's distribution, the spread of the noise, coverage, and copies."""
-    units = columns.units
+def draw_synthesis(made: Path, output: Path) -> None:
+    """Draw into `output` what `swarmtwin generate` left in `made`; nothing where it only drew from a given generator.
+
+    Raises:
+        UserError: `made` is not a folder of swarmtwin's, or `quality.json` is of another version.
+    """
+    if not (made / "quality.json").exists():
+        return
+    _, options = read_provenance(made)
+    quality = Quality.parse(json.loads((made / "quality.json").read_text()), str(made / "quality.json"))
+    title = f"{options['robot']['title']}: synthetic transitions by {options['generator']['name']}"
+    quality_figure(pd.read_csv(made / "marginals.csv"), quality, title).savefig(output / "quality.png")
+    training_figure(pd.read_csv(made / "history.csv")).savefig(output / "history.png")
+
+
+def quality_figure(marginals: pd.DataFrame, quality: Quality, title: str) -> Figure:
+    """Draw each column's distribution, as `quality.marginals` gives it, the noise's spread, coverage, and copies."""
+    units = dict(zip(marginals.column, marginals.unit, strict=True))
     panels_needed = len(units) + 3
     across = 4
     rows = -(-panels_needed // across)
     with style():
         figure = Figure(figsize=(2.9 * across, 2.4 * rows + 0.6), layout="constrained")
         panels = list(figure.subplots(rows, across, squeeze=False).flat)
-        for number, (panel, (name, unit)) in enumerate(zip(panels, units.items(), strict=False)):
+        for panel, (name, unit) in zip(panels, units.items(), strict=False):
             gap = quality.synthetic.largest_marginal_gap[name]
-            _draw_marginal(panel, [part[:, number] for part in (sets.held_out, sets.learned, sets.synthetic)])
+            _draw_marginal(panel, marginals[marginals.column == name])
             panel.set(title=f"{name}, {unit}   (gap {gap:.3f})", yticks=[])
             panel.xaxis.set_major_locator(MaxNLocator(5))
         _draw_spread(panels[len(units)], quality)
@@ -39,22 +55,22 @@ def quality_figure(columns: Columns, sets: Sets, quality: Quality, title: str) -
     return figure
 
 
-def training_figure(history: Sequence[Record]) -> Figure:
-    """Draw each loss and validation figure over the steps."""
-    names = [name for name in dict.fromkeys(key for record in history for key in record) if name != "step"]
+def training_figure(history: pd.DataFrame) -> Figure:
+    """Draw each loss and validation figure of a history.csv over the steps."""
+    names = [name for name in map(str, history) if name != "step"]
     with style():
         figure = Figure(figsize=(2.6 * len(names), 2.6), layout="constrained")
         for panel, name in zip(figure.subplots(1, len(names), squeeze=False).flat, names, strict=True):
-            known = [(record["step"], record[name]) for record in history if name in record]
-            panel.plot(*zip(*known, strict=True), color=PREDICTED if "validation" in name else FLOOR)
+            known = history[history[name].notna()]
+            panel.plot(known.step, known[name], color=PREDICTED if "validation" in name else FLOOR)
             panel.set(title=name.replace("_", " "), xlabel="step")
     return figure
 
 
-def _draw_marginal(panel: Axes, parts: list[np.ndarray]) -> None:
-    edges = np.linspace(min(part.min() for part in parts), max(part.max() for part in parts), 41)
-    for (label, colour), part in zip(COLOURS.items(), parts, strict=True):
-        density, _ = np.histogram(part, edges, density=True)
+def _draw_marginal(panel: Axes, bins: pd.DataFrame) -> None:
+    edges = [*bins.low, bins.high.iloc[-1]]
+    for label, colour in COLOURS.items():
+        density = bins[label.replace(" ", "_")]
         if label == "held out":
             panel.stairs(density, edges, fill=True, color=colour, alpha=0.2, label=label)
         else:

@@ -8,8 +8,7 @@ import pandas as pd
 from swarmtwin.files import folder_digest, write_text
 from swarmtwin.generators.generator import Generator, GeneratorConfig
 from swarmtwin.generators.generator_folder import Lineage, save_generator
-from swarmtwin.generators.quality import Quality, Sets, assess
-from swarmtwin.generators.quality_plots import quality_figure, training_figure
+from swarmtwin.generators.quality import Quality, Sets, assess, marginals
 from swarmtwin.generators.sampling import Drawn, draw_believable
 from swarmtwin.generators.training import Record, Report, fit
 from swarmtwin.learning.trainer import Device
@@ -67,15 +66,13 @@ def synthesise(
 
 
 def save_synthesis(folder: Path, made: Synthesis, seed: int) -> None:
-    """Save the generator, what it drew, how good that is, and how it learned, with pictures."""
+    """Save the generator, what it drew, how good that is, and how it learned."""
     (folder / GENERATOR).mkdir()
     save_generator(folder / GENERATOR, made.generator, made.lineage, made.quality)
     save_drawn(folder / TRANSITIONS, folder / GENERATOR, made.generator, made.lineage, made.drawn, seed)
     write_text(folder / "quality.json", made.quality.model_dump_json(indent=1) + "\n")
-    title = f"{made.generator.columns.robot.title}: synthetic transitions by {made.generator.config.name}"
-    quality_figure(made.generator.columns, made.sets, made.quality, title).savefig(folder / "quality.png")
+    marginals(made.generator.columns, made.sets).to_csv(folder / "marginals.csv", index=False, float_format="%.6g")
     pd.DataFrame(made.history).to_csv(folder / "history.csv", index=False, float_format="%.6g")
-    training_figure(made.history).savefig(folder / "history.png")
 
 
 def save_drawn(folder: Path, source: Path, generator: Generator, lineage: Lineage, drawn: Drawn, seed: int) -> None:

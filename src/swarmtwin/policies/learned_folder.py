@@ -10,7 +10,6 @@ from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.files import folder_digest, write_text
 from swarmtwin.policies.policy_folder import PolicyProvenance, SeedOutcome, SimulationOrigin, save_policy
-from swarmtwin.policies.reward_plots import history_figure
 from swarmtwin.policies.training import (
     PolicyJob,
     SeedResult,
@@ -53,5 +52,4 @@ def save_learned(
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
     history = [{"seed": result.seed, **evaluation.model_dump()} for result in results for evaluation in result.history]
     pd.DataFrame(history).to_csv(folder / "history.csv", index=False, float_format="%.5f")
-    history_figure(results).savefig(folder / "history.png")
     return provenance

@@ -1,30 +1,47 @@
 """Pictures of policies: how they were learned, and how they do in simulation and on vehicles."""
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
-from swarmtwin.policies.training import SeedResult
+from swarmtwin.policies.rollout_comparison import MOTION_NAMES
 from swarmtwin.world.rollout import Rate, Rollout
 
 COLOURS = {"simulation": PREDICTED, "stand_in": FLOOR}
-NAMES = {"simulation": "simulation", "stand_in": "stand-ins"}
 
 
-def history_figure(results: Sequence[SeedResult]) -> Figure:
-    """Draw success, collisions and reward of every seed in the evaluation scenarios; a dot marks the policy kept."""
+def draw_learning(made: Path, output: Path) -> None:
+    """Draw into `output` how the policy in `made` was learned, from its `history.csv` and `metrics.json`."""
+    best = json.loads((made / "metrics.json").read_text())["seeds"]
+    history_figure(pd.read_csv(made / "history.csv"), best).savefig(output / "history.png")
+
+
+def history_figure(history: pd.DataFrame, best: Mapping[str, Mapping[str, Any] | None]) -> Figure:
+    """Draw success, collisions and reward of every seed in the evaluation scenarios; a dot marks the policy kept.
+
+    Args:
+        history: history.csv, a row for each evaluation of each seed.
+        best: by seed the evaluation of the policy kept; None for none.
+    """
     panels = {"success": "success, %", "collision": "collisions, %", "reward": "reward a vehicle and step"}
     with style():
         figure = Figure(figsize=(10, 2.9), layout="constrained")
         for axes, (quantity, label) in zip(figure.subplots(1, 3), panels.items(), strict=True):
             factor = 1 if quantity == "reward" else 100
-            for index, result in enumerate(results):
-                _draw_history(axes, result, quantity, factor, f"C{index}")
+            for index, (seed, kept) in enumerate(best.items()):
+                own, colour, label = history[history.seed == int(seed)], f"C{index}", f"seed {seed}"
+                axes.plot(own.step, factor * own[quantity], color=colour, alpha=0.85, linewidth=1.2, label=label)
+                if kept:
+                    axes.plot(kept["step"], factor * kept[quantity], "o", color=colour, markersize=5)
             axes.set(xlabel="control periods trained", ylabel=label)
-        if len(results) > 1:
+        if len(best) > 1:
             figure.axes[0].legend()
     return figure
 
@@ -60,14 +77,6 @@ def success_figure(rates: Mapping[str, Mapping[str, Rate]]) -> Figure:
     return figure
 
 
-def _draw_history(axes: Axes, result: SeedResult, quantity: str, factor: int, colour: str) -> None:
-    steps = [evaluation.step for evaluation in result.history]
-    values = [factor * getattr(evaluation, quantity) for evaluation in result.history]
-    axes.plot(steps, values, color=colour, alpha=0.85, linewidth=1.2, label=f"seed {result.seed}")
-    if result.best:
-        axes.plot(result.best.step, factor * getattr(result.best, quantity), "o", color=colour, markersize=5)
-
-
 def _draw_pairs(panel: Axes, title: str, simulation: Rollout, vehicles: Rollout) -> None:
     x, y, succeeded = simulation.mean_reward, vehicles.mean_reward, vehicles.success
     low, high = min(x.min(), y.min()), max(x.max(), y.max())
@@ -85,7 +94,7 @@ def _draw_pairs(panel: Axes, title: str, simulation: Rollout, vehicles: Rollout)
 
 def _draw_rate(panel: Axes, place: float, rate: Rate, motion: str, labelled: bool) -> None:
     value, low, high = (100 * part for part in rate)
-    label = NAMES[motion] if labelled else None
+    label = MOTION_NAMES[motion] if labelled else None
     panel.barh(place, value, height=0.32, color=COLOURS[motion], alpha=0.8, label=label)
     error = np.array([[max(0.0, value - low)], [max(0.0, high - value)]])
     panel.errorbar(value, place, xerr=error, color=MEASURED, linewidth=1, capsize=2)

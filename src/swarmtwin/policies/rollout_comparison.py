@@ -14,6 +14,9 @@ from swarmtwin.world.task import Task
 
 Purpose = Literal["evaluation", "rollout", "gate"]
 
+MOTION_NAMES = {"simulation": "simulation", "stand_in": "stand-ins"}
+"""What people call that which moves the vehicles."""
+
 
 def draw_scenarios(task: Task, count: int, purpose: Purpose, seed: int) -> Scenario:
     """Draw `count` scenarios of a task to judge policies in: the same for every policy, and for each purpose others.

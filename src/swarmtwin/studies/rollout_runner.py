@@ -2,10 +2,12 @@
 
 import logging
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 from swarmtwin.errors import UserError
+from swarmtwin.learning.trainer import Device, torch_device
 from swarmtwin.policies.policy_folder import StoredPolicy
+from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.simulation import Simulation
@@ -19,6 +21,49 @@ from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task
 
 log = logging.getLogger(__name__)
+
+MotionName = Literal["simulation", "stand_in"]
+"""What moves the vehicles of a roll-out."""
+
+
+def roll_out_policy(
+    policy: StoredPolicy,
+    motions: Sequence[MotionName],
+    *,
+    count: int,
+    seed: int,
+    simulation: str | None,
+    sampled: bool | None,
+    device: Device,
+    vehicles: Sequence[str] | None,
+    effects: Sequence[Any],
+) -> dict[str, Rollout]:
+    """Roll a policy out from the same starts, by each of some motions.
+
+    Args:
+        policy: the policy.
+        motions: what moves the vehicles.
+        count: of roll-outs.
+        seed: of the starts and of what is drawn.
+        simulation: a folder or a registered model; None: that which the policy was learned in.
+        sampled: whether the simulation is sampled; None: as `SimulatedMotion` chooses.
+        device: where the simulation computes.
+        vehicles: ids of the stand-ins; None: as `other_vehicles` chooses.
+        effects: that the stand-ins are told to play.
+
+    Raises:
+        UserError: see `simulation_of`, `other_vehicles`, `in_simulation` and `on_stand_ins`.
+    """
+    task = policy.build_task()
+    scenario = draw_scenarios(task, count, "rollout", seed)
+    rollouts: dict[str, Rollout] = {}
+    for motion in motions:
+        if motion == "simulation":
+            moved_by = simulation_of(policy, simulation, policy.robot).to(torch_device(device))
+            rollouts[motion] = in_simulation(policy, moved_by, scenario, sampled, seed)
+        else:
+            rollouts[motion] = on_stand_ins(policy, other_vehicles(vehicles, task), scenario, seed, effects)
+    return rollouts
 
 
 def other_vehicles(chosen: Sequence[str] | None, task: Task) -> tuple[str, ...]:

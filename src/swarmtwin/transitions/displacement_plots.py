@@ -1,11 +1,23 @@
 """A picture of what was recorded: where, with which commands, and which displacements followed."""
 
+from pathlib import Path
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, style
+from swarmtwin.transitions.preparation import load_transitions
 from swarmtwin.transitions.transitions import Transitions
+
+
+def draw_preparation(made: Path, output: Path) -> None:
+    """Draw into `output` what `swarmtwin prepare` left in `made`.
+
+    Raises:
+        UserError: there are no transitions, or they are damaged.
+    """
+    coverage_figure(load_transitions(made)).savefig(output / "coverage.png")
 
 
 def coverage_figure(transitions: Transitions, most_dots: int = 4000, most_runs: int = 40) -> Figure:

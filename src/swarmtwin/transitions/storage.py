@@ -1,6 +1,7 @@
 """Transitions as one parquet file: a row each, with their robot, runs and vehicles in the file's metadata."""
 
 import json
+from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,14 @@ from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 
-def write_transitions(file: Path, transitions: Transitions) -> None:
-    """Write transitions to `file`; those that have K neighbours get columns `neighbour_1_forward_mm` and so on."""
+def write_transitions(file: Path, transitions: Transitions, beside: Mapping[str, np.ndarray] | None = None) -> None:
+    """Write transitions to `file`; those that have K neighbours get columns `neighbour_1_forward_mm` and so on.
+
+    Args:
+        file: `.parquet`.
+        transitions: N of them.
+        beside: further columns (N,) by name, which `read_transitions` leaves aside.
+    """
     names = transitions.robot.command_columns
     most = transitions.neighbours.shape[1]
     neighbours = transitions.neighbours.reshape(len(transitions), 3 * most)
@@ -31,6 +38,7 @@ def write_transitions(file: Path, transitions: Transitions) -> None:
         **dict(zip(POSE_COLUMNS, transitions.pose.T, strict=True)),
         **dict(zip(DISPLACEMENT_COLUMNS, transitions.displacement.T, strict=True)),
         **dict(zip(_neighbour_columns(most), neighbours.T, strict=True)),
+        **(beside or {}),
     }
     metadata = {
         "robot": transitions.robot.model_dump_json(),

@@ -20,8 +20,8 @@ from swarmtwin.diagnosis.report.residual_plots import (
     spread_figure,
 )
 from swarmtwin.diagnosis.report.sentences import COMPONENTS, QUESTIONS, SHAPES, SPACE
-from swarmtwin.diagnosis.result import DiagnosedSession, DiagnosisResult, Gain
-from swarmtwin.dynamics.evaluation import predict
+from swarmtwin.diagnosis.result import DiagnosisResult, Gain
+from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis
 from swarmtwin.simulation.mechanism import mechanism_class
 
 PICTURE_OF = {
@@ -84,7 +84,16 @@ class Bars(NamedTuple):
     change: str
 
 
-def write_report(folder: Path, diagnosed: DiagnosedSession) -> None:
+def draw_diagnosis(made: Path, output: Path) -> None:
+    """Write the report of what `swarmtwin diagnose` left in `made` into `output`.
+
+    Raises:
+        UserError: a file that it is made of is missing or damaged.
+    """
+    write_report(output, SavedDiagnosis.read(made))
+
+
+def write_report(folder: Path, diagnosed: SavedDiagnosis) -> None:
     """Write `report.html` and `figures/*.png` into an existing folder."""
     (folder / "figures").mkdir(exist_ok=True)
     pictures = []
@@ -112,18 +121,19 @@ def leading_pictures(diagnosis: DiagnosisResult) -> list[str]:
     return [*leading[:2], "runs"]
 
 
-def _figures(diagnosed: DiagnosedSession) -> dict[str, tuple[str, Figure]]:
+def _figures(diagnosed: SavedDiagnosis) -> dict[str, tuple[str, Figure]]:
     """Draw all pictures by name, with their captions.
 
     Residual fields show all transitions; where a residual was learned, only those that it was not learned from.
     """
-    learned = "learned_residual" in diagnosed.result.extension
+    extension = diagnosed.result.extension
+    learned, extended = "learned_residual" in extension, extension != "none"
     rows = diagnosed.held_out if learned and diagnosed.held_out.any() else np.ones(len(diagnosed.transitions), bool)
     transitions = diagnosed.transitions.where(rows)
     residuals = {BEFORE: diagnosed.residual_before[rows]}
-    if diagnosed.extended is not None:
+    if extended:
         residuals[AFTER] = diagnosed.residual_after[rows]
-    simulated = predict(diagnosed.simulation, transitions)
+    simulated = diagnosed.simulated[rows]
     parts = {title: components(transitions, simulated, residual) for title, residual in residuals.items()}
     block, arena = blocks_of(transitions), transitions.arena_mm
     choices = field_choices(transitions, parts[BEFORE])
@@ -135,11 +145,11 @@ def _figures(diagnosed: DiagnosedSession) -> dict[str, tuple[str, Figure]]:
     calm = [choices[name] for name in CALM_PICTURES if name in choices]
     if diagnosed.result.verdict == "no_gap" and calm:
         drawn["calm"] = CAPTIONS["calm"], calm_figure(calm, parts[BEFORE], block)
-    runs = runs_figure(diagnosed.runs_before, diagnosed.runs_after if diagnosed.extended is not None else ())
+    runs = runs_figure(diagnosed.runs_before, diagnosed.runs_after if extended else ())
     return drawn | ({"runs": (CAPTIONS["runs"], runs)} if runs else {})
 
 
-def _page(diagnosed: DiagnosedSession, pictures: list[Picture]) -> str:
+def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
     diagnosis, robot = diagnosed.result, diagnosed.transitions.robot
     drawn = {picture.name: picture for picture in pictures}
     leading = [drawn[name] for name in leading_pictures(diagnosis) if name in drawn]

@@ -13,18 +13,16 @@ from typing import Literal
 import pandas as pd
 from rich.console import Console
 
-from swarmtwin.dynamics.error_plots import comparison_figure
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, load_simulation, measure
-from swarmtwin.simulation.open_loop_plots import runs_figure
+from swarmtwin.simulation.open_loop_storage import save_open_loop
+from swarmtwin.studies.dynamics.comparison_plots import draw_comparison
 from swarmtwin.studies.dynamics.table import figure_columns, model_table
 from swarmtwin.tracking.runs import tracked_run
-
-DRAWN = ("crnet", "fcnn")
 
 
 class Options(StrictModel):
@@ -36,6 +34,7 @@ class Options(StrictModel):
     train_vehicle: Path
     other_vehicle: Path
     open_loop: Path
+    pictures: bool
     output: Path
     overwrite: bool
 
@@ -70,6 +69,8 @@ def run(options: Options) -> None:
             entries = _entries(options)
             best = best_entry(entries)
             _save(folder, entries, best, options.robot.arena_mm)
+            if options.pictures:
+                draw_comparison(folder, folder)
         for entry in entries:
             for recording, measurement in entry.measurements.items():
                 figures = measurement.overall.tracked()
@@ -137,11 +138,6 @@ def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> 
     ]
     pd.DataFrame(rows).to_csv(folder / "table.csv", index=False)
     shutil.copytree(best.folder, folder / "best")
+    (folder / "open_loop").mkdir()
     for entry in entries:
-        if entry.name in DRAWN or entry is best:
-            runs_figure(entry.measurements["open_loop"].runs, arena).savefig(folder / f"runs_{entry.name}.png")
-    for recording in ("train_vehicle", "other_vehicle"):
-        one_step = {entry.name: entry.measurements[recording].overall.one_step for entry in entries}
-        overall = best.measurements[recording].overall
-        figure = comparison_figure(one_step, overall.floor, overall.floor_kind != "exact")
-        figure.savefig(folder / f"errors_{recording}.png")
+        save_open_loop(folder / "open_loop" / f"{entry.name}.parquet", entry.measurements["open_loop"].runs, arena)

@@ -1,7 +1,6 @@
 """`swarmtwin experiment name=overview`: the whole pipeline on one page, and as tables in the terminal."""
 
 import base64
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -14,6 +13,7 @@ from rich.table import Table
 from swarmtwin.diagnosis.report.page import CAPTIONS, gain_bars, leading_pictures
 from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.result import DiagnosisResult
+from swarmtwin.diagnosis.saved_diagnosis import RESULT, read_result
 from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
@@ -125,23 +125,24 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     if not (comparison / "table.csv").exists():
         raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
     diagnosed = artifacts / "diagnosis" / robot_name
-    diagnosis = _diagnosis(diagnosed / "diagnosis.json")
     policies = _table(artifacts / "transfer" / robot_name)
     names = [] if policies is None else list(policies.policy)
+    diagnosis = read_result(diagnosed) if (diagnosed / RESULT).exists() else None
     leading = leading_pictures(diagnosis) if diagnosis else []
-    pictures = {section: _existing(artifacts, templates, robot_name, names) for section, templates in PICTURES.items()}
-    pictures["diagnosis"] = _existing(diagnosed, {f"figures/{name}.png": CAPTIONS[name] for name in leading})
+    pictures = {section: _drawn_files(artifacts, paths, robot_name, names) for section, paths in PICTURES.items()}
+    found = {f"diagnosis/{{robot}}/figures/{name}.png": CAPTIONS[name] for name in leading}
+    pictures["diagnosis"] = _drawn_files(artifacts, found, robot_name)
     return Chapter(
         robot=read_description(comparison / "best").robot,
         preparation=load_preparation(artifacts / "transitions" / robot_name),
         models=pd.read_csv(comparison / "table.csv"),
         diagnosis=diagnosis,
-        report=diagnosed / "report.html",
+        report=_drawn(artifacts, f"diagnosis/{robot_name}/report.html"),
         cases=_table(artifacts / "real_and_synthetic" / robot_name),
         policies=policies,
         champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
         pictures=pictures,
-        films=_existing(artifacts, FILMS, robot_name, names),
+        films=_drawn_files(artifacts, FILMS, robot_name, names),
     )
 
 
@@ -150,21 +151,20 @@ def _table(folder: Path) -> pd.DataFrame | None:
     return pd.read_csv(file) if file.exists() else None
 
 
-def _diagnosis(file: Path) -> DiagnosisResult | None:
-    if not file.exists():
-        return None
-    try:
-        return DiagnosisResult.parse(json.loads(file.read_text()), str(file))
-    except json.JSONDecodeError as error:
-        raise UserError(f"{file} is damaged ({error}): run `dvc repro` again") from None
+def _drawn(artifacts: Path, path: str) -> Path:
+    """Return where a picture is: the pipeline draws into a folder of its own, a direct call beside its results."""
+    file = artifacts / "pictures" / path
+    return file if file.exists() else artifacts / path
 
 
-def _existing(folder: Path, captions: dict[str, str], robot: str = "", policies: Sequence[str] = ()) -> dict[str, Path]:
-    """Return the files of a folder that are there, by their captions; those of policies once for each."""
+def _drawn_files(
+    artifacts: Path, captions: dict[str, str], robot: str, policies: Sequence[str] = ()
+) -> dict[str, Path]:
+    """Return what was drawn and is there, by its caption; what is drawn of policies once for each."""
     found = {}
     for path, caption in captions.items():
         for policy in policies if "{policy}" in path else ("",):
-            file = folder / path.format(robot=robot, policy=policy)
+            file = _drawn(artifacts, path.format(robot=robot, policy=policy))
             if file.exists():
                 found[caption.format(policy=policy)] = file
     return found

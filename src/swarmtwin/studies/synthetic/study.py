@@ -30,7 +30,8 @@ from swarmtwin.recordings.reading import read_recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, measure
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.studies.synthetic.table import ERRORS, case_table, cases_figure
+from swarmtwin.studies.synthetic.error_plots import draw_cases
+from swarmtwin.studies.synthetic.table import ERRORS, case_table
 from swarmtwin.studies.synthetic.trainings import Amount, Case, Training, TrainingSets, chosen_cases
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
@@ -59,6 +60,7 @@ class Options(StrictModel):
     cases: Literal["all"] | Annotated[tuple[str, ...], BeforeValidator(as_texts)]
     seed: Seed
     seeds: Count
+    pictures: bool
     output: Path
     overwrite: bool
 
@@ -103,7 +105,8 @@ def run(options: Options) -> None:
             table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome)])
             table.to_csv(folder / "table.csv", index=False)
             write_text(folder / "metrics.json", json.dumps(_metrics(outcomes), indent=1) + "\n")
-            cases_figure(table, options.robot.title).savefig(folder / "errors.png")
+            if options.pictures:
+                draw_cases(folder, folder)
         for row in table.to_dict("records"):
             figures = {name: row[name] for name in ERRORS if row[name] is not None}
             tracked.metrics({f"{row['case']}/{row['recording']}/{name}": value for name, value in figures.items()})

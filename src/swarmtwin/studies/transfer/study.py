@@ -13,7 +13,6 @@ from rich.console import Console
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.policies.policy_folder import DESCRIPTION, StoredPolicy, load_policy
-from swarmtwin.policies.reward_plots import NAMES, rewards_figure, success_figure
 from swarmtwin.policies.rollout_comparison import (
     check_count,
     draw_scenarios,
@@ -24,10 +23,10 @@ from swarmtwin.policies.rollout_comparison import (
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.studies.rollout_runner import in_simulation, on_stand_ins, other_vehicles, simulation_of
 from swarmtwin.studies.transfer.table import policy_table
+from swarmtwin.studies.transfer.transfer_plots import draw_transfer
 from swarmtwin.tracking.runs import tracked_run
-from swarmtwin.world.rendering.paths import paths_figure
-from swarmtwin.world.rendering.video import pictures, write_video
-from swarmtwin.world.rollout import Rollout, chosen_world, figures_of
+from swarmtwin.world.rollout import Rollout, figures_of
+from swarmtwin.world.rollout_storage import save_rollouts
 
 
 class Options(StrictModel):
@@ -40,6 +39,7 @@ class Options(StrictModel):
     seed: Seed
     video: bool
     speed: Positive
+    pictures: bool
     output: Path
     overwrite: bool
 
@@ -68,7 +68,9 @@ def run(options: Options) -> None:
     with tracked_run("transfer", f"{options.robot.name} policies", settings, inputs, options.seed) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
             entries = [_entry(options, policy) for policy in policies]
-            _save(folder, options, entries)
+            _save(folder, entries)
+            if options.pictures:
+                draw_transfer(folder, folder)
         for entry in entries:
             tracked.metrics(tracked_figures(entry.metrics, f"{entry.name}/"))
         tracked.folder(options.output, "transfer")
@@ -102,25 +104,18 @@ def _entry(options: Options, policy: StoredPolicy) -> Entry:
     return Entry(policy.folder.name, policy, vehicles, rollouts, metrics_of(rollouts))
 
 
-def _save(folder: Path, options: Options, entries: Sequence[Entry]) -> None:
+def _save(folder: Path, entries: Sequence[Entry]) -> None:
     write_text(folder / "metrics.json", json.dumps({e.name: e.metrics for e in entries}, indent=1) + "\n")
     pd.DataFrame([_row(entry) for entry in entries]).to_csv(folder / "table.csv", index=False)
-    pairs = {e.name: (e.rollouts["simulation"], e.rollouts["stand_in"]) for e in entries}
-    rewards_figure(pairs).savefig(folder / "rewards.png")
-    rates = {e.name: {motion: figures_of(r).success for motion, r in e.rollouts.items()} for e in entries}
-    success_figure(rates).savefig(folder / "success.png")
     steps = [
         rollout_table(motion, rollout).assign(policy=entry.name)
         for entry in entries
         for motion, rollout in entry.rollouts.items()
     ]
     pd.concat(steps).to_parquet(folder / "rollouts.parquet", index=False)
+    (folder / "rollouts").mkdir()
     for entry in entries:
-        shown = chosen_world(entry.rollouts["stand_in"], "typical")
-        titled = {NAMES[motion]: rollout for motion, rollout in entry.rollouts.items()}
-        paths_figure(titled, shown).savefig(folder / f"paths_{entry.name}.png")
-        if options.video:
-            write_video(folder / f"{entry.name}.mp4", pictures(titled, shown, options.speed))
+        save_rollouts(folder / "rollouts" / f"{entry.name}.npz", entry.rollouts)
 
 
 def _row(entry: Entry) -> dict[str, Any]:

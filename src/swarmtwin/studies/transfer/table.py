@@ -6,7 +6,7 @@ import pandas as pd
 from rich import box
 from rich.table import Table
 
-from swarmtwin.policies.reward_plots import NAMES
+from swarmtwin.policies.rollout_comparison import MOTION_NAMES
 
 
 def policy_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -15,12 +15,12 @@ def policy_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
         {
             "policy": row["policy"],
             "learned_in": row["simulation"],
-            "where": list(NAMES.values()),
-            "reward": [f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in NAMES],
+            "where": list(MOTION_NAMES.values()),
+            "reward": [f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in MOTION_NAMES],
             "difference": f"{row['reward_difference_percent_value']:+.1f}",
-            "success": [_rate(row, f"{motion}_success") for motion in NAMES],
-            "collisions": [f"{row[f'{motion}_collision']:.0%}" for motion in NAMES],
-            "time_s": [f"{row[f'{motion}_reach_time_s']:.0f}" for motion in NAMES],
+            "success": [_rate(row, f"{motion}_success") for motion in MOTION_NAMES],
+            "collisions": [f"{row[f'{motion}_collision']:.0%}" for motion in MOTION_NAMES],
+            "time_s": [f"{row[f'{motion}_reach_time_s']:.0f}" for motion in MOTION_NAMES],
         }
         for row in table.to_dict("records")
     ]

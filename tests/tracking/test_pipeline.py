@@ -18,14 +18,14 @@ from omegaconf import OmegaConf
 
 from swarmtwin.commands.app import run_command
 from swarmtwin.standin.physics import Physics
-from swarmtwin.tracking.pipeline import PRESENTATION, Pipeline, with_dependencies
+from swarmtwin.tracking.pipeline import DRAWING, Pipeline, with_dependencies
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 FILE = yaml.safe_load((REPOSITORY / "dvc.yaml").read_text())
 AFFORDED = yaml.safe_load((REPOSITORY / "conf" / "pipeline.yaml").read_text())
 PIPELINE = Pipeline(REPOSITORY)
 STAGES = PIPELINE.stages
-TRAINING = ("synthetic", "dynamics", "synthetic_dynamics", "policies")
+DRAWN = ("pictures@mgr-comparison", "pictures@mgr-dynamics")
 every_stage = pytest.mark.parametrize("stage", STAGES.values(), ids=STAGES)
 
 
@@ -89,14 +89,31 @@ def test_every_stage_hangs_on_what_all_computing_stands_on(name):
     assert {"geometry.py", "robot.py", "transitions/transitions.py"} <= code(name)
 
 
-@pytest.mark.parametrize("name", [name for name, stage in STAGES.items() if stage.template in TRAINING])
-def test_no_training_hangs_on_a_picture(name):
-    assert not PIPELINE.is_last(name)
-    drawing = [file for file in code(name) if any(Path(file).match(pattern) for pattern in PRESENTATION)]
-    assert not drawing
+@pytest.mark.parametrize("name", STAGES)
+def test_drawing_is_done_by_stages_of_its_own(name):
+    drawing = {file for file in code(name) if any(Path(file).match(pattern) for pattern in DRAWING)}
+    assert PIPELINE.is_drawing(name) == bool(drawing) == (STAGES[name].template in ("pictures", "report"))
+    assert not (drawing and any(name in stage.upstream for stage in STAGES.values()))
 
 
-@pytest.mark.parametrize("pattern", PRESENTATION)
+def test_every_stage_that_computes_leaves_drawing_to_another_and_is_drawn():
+    drawn = {other for stage in STAGES.values() if PIPELINE.is_drawing(stage.name) for other in stage.upstream}
+    computing = {name for name in STAGES if not PIPELINE.is_drawing(name)}
+    assert drawn == computing
+    assert all(STAGES[name].options["pictures"] == "false" for name in computing)
+
+
+@pytest.mark.parametrize("file", ["dynamics/error_plots.py", "diagnosis/report/page.py", "world/rendering/video.py"])
+def test_only_drawing_stages_hang_on_what_draws(file):
+    assert {STAGES[name].template for name in STAGES if file in code(name)} == {"pictures", "report"}
+
+
+def test_a_training_hangs_on_what_trains():
+    training = [name for name in STAGES if "dynamics/training_module.py" in code(name)]
+    assert {STAGES[name].template for name in training} == {"dynamics", "synthetic_dynamics", "real_and_synthetic"}
+
+
+@pytest.mark.parametrize("pattern", DRAWING)
 def test_every_pattern_of_pictures_and_reports_fits_a_file(pattern):
     assert any(file.match(pattern) for file in (REPOSITORY / "src").rglob("*") if file.is_file())
 
@@ -147,7 +164,7 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
     names = (
         *("recording", "transitions", "generators", "models", "simulation", "policies"),
         *("train_vehicle", "other_vehicle", "open_loop"),
-        *("reference", "measured"),
+        *("reference", "measured", "folder"),
     )
     read = [config[name] for name in names if config.get(name)]
     if stage.arguments[0] in ("train", "generate") and not config.transitions:
@@ -199,7 +216,7 @@ def repository(tmp_path_factory):
             assert run_command("record", [*options, output]) == 0
     call(folder, "git", "init", "--quiet")
     dvc(folder, "init", "--quiet")
-    dvc(folder, "repro", "--quiet", "comparison@mgr")
+    dvc(folder, "repro", "--quiet", *DRAWN)
     return folder
 
 
@@ -235,25 +252,36 @@ def stale(folder, *targets):
 def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     table = pd.read_csv(repository / "artifacts" / "comparison" / "mgr" / "table.csv")
     assert set(table.model) == {"kinematic", "mlp", "crnet-S"}
-    assert reran(repository, "comparison@mgr") == set()
+    assert not list((repository / "artifacts" / "comparison").rglob("*.png"))
+    pictures = repository / "artifacts" / "pictures"
+    assert (pictures / "comparison" / "mgr" / "errors_train_vehicle.png").exists()
+    assert (pictures / "dynamics" / "mgr" / "crnet_synthetic" / "history.png").exists()
+    assert reran(repository, *DRAWN) == set()
 
 
 def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     artifacts = repository / "artifacts" / "dynamics" / "mgr"
     before = {name: (artifacts / name / "history.csv").read_bytes() for name in ("kinematic", "mlp")}
     change(repository / "conf" / "model" / "mlp.yaml", steps=30)
-    assert reran(repository, "comparison@mgr") == {"dynamics@mgr-mlp", "comparison@mgr"}
+    assert reran(repository, *DRAWN) == {"dynamics@mgr-mlp", "comparison@mgr", *DRAWN}
     assert (artifacts / "kinematic" / "history.csv").read_bytes() == before["kinematic"]
     assert len(pd.read_csv(artifacts / "mlp" / "history.csv")) > before["mlp"].count(b"\n") - 1
-    assert reran(repository, "comparison@mgr") == set()
+    assert reran(repository, *DRAWN) == set()
 
 
-def test_a_line_in_a_plot_makes_no_training_stale_and_one_in_the_geometry_all_of_it(repository):
+def test_a_line_in_a_plot_draws_anew_and_computes_nothing(repository):
+    add_line(repository / "src" / "swarmtwin" / "dynamics" / "error_plots.py")
+    assert stale(repository, *DRAWN) == set(DRAWN)
+    assert reran(repository, *DRAWN) == set(DRAWN)
+
+
+def test_a_line_in_a_model_a_training_or_the_geometry_makes_stale_what_it_shapes(repository):
     source = repository / "src" / "swarmtwin"
-    add_line(source / "dynamics" / "error_plots.py")
-    assert stale(repository, "comparison@mgr") == {"comparison@mgr"}
     add_line(source / "dynamics" / "models" / "mlp.py")
     assert stale(repository, "comparison@mgr") == {"dynamics@mgr-mlp", "comparison@mgr"}
+    add_line(source / "dynamics" / "training_module.py")
+    trainings = {"dynamics@mgr-mlp", "dynamics@mgr-kinematic", "synthetic_dynamics@mgr"}
+    assert stale(repository, "comparison@mgr") == {*trainings, "comparison@mgr"}
     add_line(source / "geometry.py")
     leading_there = {
         "transitions@mgr",

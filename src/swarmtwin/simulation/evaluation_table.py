@@ -1,0 +1,45 @@
+"""What a person reads of a simulation measured on a recording."""
+
+from rich import box
+from rich.table import Table
+
+from swarmtwin.dynamics.evaluation import ErrorFigure
+from swarmtwin.simulation.evaluation import Measurement
+
+
+def measurement_table(name: str, measurement: Measurement) -> Table:
+    """Return the terminal's table: the figures of each vehicle, and of all; mean ± standard deviation."""
+    title = f"{name}{', held-out runs' if measurement.held_out else ''}"
+    floor = "floor" if measurement.overall.floor_kind == "exact" else "floor, estimate"
+    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title)
+    shown.add_column("\nvehicle", no_wrap=True)
+    for heading in (
+        "transi-\ntions",
+        "one-step\nmm, °",
+        f"{floor}\nmm, °",
+        "model error\nmm, °",
+        "open loop\nmm",
+        "\nruns",
+    ):
+        shown.add_column(heading, justify="right", no_wrap=True)
+    rows = list(measurement.vehicles.items())
+    if len(rows) > 1:
+        rows.append(("all", measurement.overall))
+    for vehicle, figures in rows:
+        errors = [_errors_text(figure) for figure in (figures.one_step, figures.floor, figures.model_error)]
+        loop = figures.open_loop
+        loop_cells = (f"{loop.rmse_mm:.0f} ± {loop.rmse_sd_mm:.0f}", str(loop.runs)) if loop else ("", "")
+        shown.add_row(vehicle, str(figures.one_step.transitions), *errors, *loop_cells)
+    shown.caption = "mean ± standard deviation, position above orientation"
+    if history := measurement.overall.floors.get("history"):
+        position, orientation = _errors_text(history.error).splitlines()
+        kind = "" if history.kind == "exact" else ", estimate"
+        shown.caption += f"\nfloor given the commands before as well{kind}: {position} mm, {orientation}°"
+    return shown
+
+
+def _errors_text(figure: ErrorFigure | None) -> str:
+    if figure is None:
+        return ""
+    position = f"{figure.position_mm:.2f} ± {figure.position_sd_mm:.2f}"
+    return f"{position}\n{figure.orientation_deg:.2f} ± {figure.orientation_sd_deg:.2f}"

@@ -1,0 +1,1 @@
+"""`swarmtwin experiment name=pictures`."""

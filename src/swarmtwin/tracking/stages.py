@@ -1,0 +1,89 @@
+"""The stages of `dvc.yaml`, one for each robot, model and policy, as DVC multiplies them out."""
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from dvc.dependency import ParamsDependency
+from dvc.repo import Repo
+from dvc.stage import PipelineStage
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage with its places filled in.
+
+    Attributes:
+        name: DVC's name of it, `<template>@<items>`.
+        items: what fills its places, such as `{"robot": "mgr"}`.
+        arguments: of `swarmtwin`: the command, then its options.
+        deps: files and folders that it hangs on.
+        params: parameter files; of each the keys that it hangs on, empty for all.
+        outs: files and folders that it leaves.
+        upstream: names of the stages whose outputs it reads, and of those whose outputs these read.
+    """
+
+    name: str
+    items: Mapping[str, str]
+    arguments: tuple[str, ...]
+    deps: tuple[str, ...]
+    params: Mapping[str, list[str]]
+    outs: tuple[str, ...]
+    upstream: tuple[str, ...]
+
+    @property
+    def template(self) -> str:
+        """The name it has in `dvc.yaml`."""
+        return self.name.partition("@")[0]
+
+    @property
+    def options(self) -> dict[str, str]:
+        """The options of its command."""
+        return dict(argument.split("=", 1) for argument in self.arguments[1:])
+
+    @property
+    def config_name(self) -> str:
+        """The file in `conf/` that its command begins with."""
+        return f"experiment/{self.options['name']}" if self.arguments[0] == "experiment" else self.arguments[0]
+
+    @property
+    def module(self) -> str:
+        """The module that its command runs."""
+        folder, _, study = self.config_name.partition("/")
+        return f"swarmtwin.studies.{study}.study" if study else f"swarmtwin.commands.{folder}"
+
+
+def read_stages(repository: Path) -> dict[str, Stage]:
+    """Return every stage of a repository's `dvc.yaml`, by name."""
+    with Repo(str(repository)) as repo:
+        graph = repo.index.graph
+        return {node.name: _stage(node, graph) for node in graph if isinstance(node, PipelineStage)}
+
+
+def _stage(node: Any, graph: Any) -> Stage:
+    """Return a stage of DVC's; `graph` leads from each stage to those that it reads."""
+    words = shlex.split(node.cmd)
+    upstream = [node]
+    for reader in upstream:  # which grows meanwhile
+        upstream += [other for other in graph.successors(reader) if other not in upstream]
+    parameters = [entry for entry in node.deps if isinstance(entry, ParamsDependency)]
+    return Stage(
+        name=node.name,
+        items={place: str(value) for place, value in _items(node).items()},
+        arguments=tuple(words[words.index("swarmtwin") + 1 :]),
+        deps=tuple(entry.def_path for entry in node.deps if entry not in parameters),
+        params={entry.def_path: list(entry.params) for entry in parameters},
+        outs=tuple(entry.def_path for entry in node.outs),
+        upstream=tuple(other.name for other in upstream[1:] if isinstance(other, PipelineStage)),
+    )
+
+
+def _items(node: Any) -> dict[str, Any]:
+    """Return what fills a stage's places, by their names in its matrix."""
+    template, _, key = node.name.partition("@")
+    if not key:
+        return {}
+    chosen: dict[str, Any] = node.dvcfile.resolver.definitions[template].normalized_iterable[key]
+    return chosen
