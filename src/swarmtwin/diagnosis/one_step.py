@@ -19,7 +19,7 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import BaseTwists, period_motion, remembered_after_two
+from swarmtwin.simulation.signal_chain import Answers, BaseTwists, period_motion, remembered_after_two
 
 
 class Outcome(NamedTuple):
@@ -37,13 +37,13 @@ class OneStepPredictor:
         base: the simulation's dynamics model, or one member of it.
         conditions: of the session.
         situation: N measured situations, float64, whose previous and earlier commands are known.
-        answers: of the base to the commands as they were sent, from the poses as they were measured.
+        answers: of the base so far, by the mechanisms that change what it is asked; those of the last few are kept.
     """
 
     base: DynamicsModel
     conditions: SessionConditions
     situation: Situation
-    answers: dict[tuple[int, int], Tensor] = field(default_factory=dict)
+    answers: dict[tuple[str, ...], Answers] = field(default_factory=lambda: {(): Answers()})
 
     def with_member(self, member: int) -> "OneStepPredictor":
         """Return it with one member of the base in the place of the mean of all."""
@@ -61,7 +61,7 @@ class OneStepPredictor:
     def simulated(self) -> Tensor:
         """Return the twists (N, 3) of the base alone."""
         moment = self.moment()
-        return BaseTwists(self.base, moment, self._commands(), self.answers).response(0)
+        return BaseTwists(self.base, moment, self._commands(), self.answers[()]).response(0)
 
     def base_twist(self, command: Tensor, previous_command: Tensor) -> Tensor:
         """Return the twists (N, 3) of the base alone under other commands (N, m), and others before them."""
@@ -97,28 +97,36 @@ class OneStepPredictor:
         assert given.earlier_command is not None
         return given.command, given.previous_command, given.earlier_command
 
+    def _answers(self, mechanisms: Sequence[Mechanism], most_kept: int = 6) -> Answers:
+        """Return what the base has answered so far where these mechanisms change what it is asked."""
+        key = tuple(mechanism.model_dump_json() for mechanism in mechanisms)
+        kept = self.answers.pop(key, None) or Answers()
+        self.answers[key] = kept
+        if len(self.answers) > most_kept:
+            del self.answers[next(oldest for oldest in self.answers if oldest)]
+        return kept
+
     def _twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int]) -> Tensor:
         moment = self.moment()
         measured = true = moment.pose
+        changing = []
         for mechanism in reversed(mechanisms):
-            true = mechanism.from_measured(true, self.conditions)
+            before, true = true, mechanism.from_measured(true, self.conditions)
+            if true is not before and "pose" in self.base.inputs:
+                changing.append(mechanism)
         moved_camera = true is not measured
         if moved_camera:
             moment = Moment(**{**vars(moment), "pose": true})
-        sent = self._commands()
-        given = list(sent)
+        given = list(self._commands())
         for mechanism in mechanisms:
-            given = [mechanism.transform_command(command, moment) for command in given]
-        as_sent = all(one is other for one, other in zip(given, sent, strict=True))
-        same_pose = not moved_camera or "pose" not in self.base.inputs
-        twists = BaseTwists(
-            self.base,
-            moment,
-            given,
-            self.answers if as_sent and same_pose else {},
-            roles,
-            clock_is_nominal=any(mechanism.follows_clock() for mechanism in mechanisms),
-        )
+            sent, given = given, [mechanism.transform_command(command, moment) for command in given]
+            if any(one is not other for one, other in zip(given, sent, strict=True)):
+                changing.append(mechanism)
+        nominal = [mechanism for mechanism in mechanisms if mechanism.follows_clock()]
+        if "duration_s" in self.base.inputs:
+            changing += nominal
+        answers = self._answers(changing)
+        twists = BaseTwists(self.base, moment, given, answers, roles, clock_is_nominal=bool(nominal))
         memory = remembered_after_two(mechanisms, twists)
         displacement = period_motion(mechanisms, twists, memory).displacement
         if not moved_camera:

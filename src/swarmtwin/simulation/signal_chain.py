@@ -23,6 +23,21 @@ Memory = Mapping[str, Tensor]
 TWIST, REFERENCE_TWIST, SETTING = "actuator twist", "reference's actuator twist", "actuator setting"
 
 
+@dataclass
+class Answers:
+    """Twists (N, 3) that a dynamics model has answered to the same commands from the same poses.
+
+    Attributes:
+        to_commands: by the indices of the command and of the one before it.
+        to_settings: to settings on their way, by the roles of the commands, the way and the share of it that is left.
+        delays: lateness and lag for which these settings hold.
+    """
+
+    to_commands: dict[tuple[int, int], Tensor] = field(default_factory=dict)
+    to_settings: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
+    delays: tuple[float, float] = (0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class BaseTwists:
     """What a dynamics model answers to the last commands of N vehicles, each question asked once.
@@ -31,8 +46,7 @@ class BaseTwists:
         dynamics: the model.
         moment: where the vehicles are.
         commands: (N, m) each, as the actuators are given them: the present one, the one before, and so on.
-        known: answers so far, by the indices of the command and of the one before it; shared between evaluations in
-            which commands and poses are the same.
+        known: answers so far; shared between evaluations in which commands, poses and what came before are the same.
         roles: which of the commands stands in each place: (0, 1, 2), unless a command was lost and another goes on.
         clock_is_nominal: whether the model is told the nominal period whatever the measured one, since a mechanism
             accounts for the difference.
@@ -41,7 +55,7 @@ class BaseTwists:
     dynamics: DynamicsModel
     moment: Moment
     commands: Sequence[Tensor]
-    known: dict[tuple[int, int], Tensor] = field(default_factory=dict)
+    known: Answers = field(default_factory=Answers)
     roles: Sequence[int] = (0, 1, 2)
     clock_is_nominal: bool = False
 
@@ -62,17 +76,25 @@ class BaseTwists:
         before, earlier = self.commands[1], self.commands[2]
         return self._predicted(self.commands[0], before, earlier)
 
-    def at_setting(self, command: Tensor) -> Tensor:
-        """Return the twists under commands (N, m), held for long."""
-        return self._ask(command, command, command)
+    def on_the_way(self, change: "SettingChange", left: float) -> Tensor:
+        """Return the twists under settings held for long, with a share of their way left."""
+        if change.delays != self.known.delays:
+            self.known.to_settings, self.known.delays = {}, change.delays
+        key = (*self.roles, change.period, change.towards, left)
+        if key not in self.known.to_settings:
+            target = self.setting(change.towards)
+            setting = target + left * (change.start - target)
+            self.known.to_settings[key] = self._ask(setting, setting, setting)
+        return self.known.to_settings[key]
 
     def _answer(self, now: int, before: int) -> Tensor:
         if "previous_command" not in self.dynamics.inputs:
             before = now
-        if (now, before) not in self.known:
+        known = self.known.to_commands
+        if (now, before) not in known:
             earlier = before if now == before else min(before + 1, len(self.commands) - 1)
-            self.known[now, before] = self._ask(*(self.commands[index] for index in (now, before, earlier)))
-        return self.known[now, before]
+            known[now, before] = self._ask(*(self.commands[index] for index in (now, before, earlier)))
+        return known[now, before]
 
     def _ask(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
         return log_map(self._predicted(command, previous, earlier))
@@ -290,18 +312,22 @@ def _following_settings(
     return pieces, {**memory, SETTING: setting}
 
 
-class _SettingChange(NamedTuple):
-    """Settings that go from `start` (N, m) towards the command in a place, and what is left of the way at each piece.
+class SettingChange(NamedTuple):
+    """Settings on their way from `start` (N, m) towards the command in a place.
 
     Attributes:
+        period: the place of the command of the period.
+        towards: the place of the command towards which they go.
+        delays: lateness and lag in periods, from which and from the commands it follows where they start.
         start: (N, m) at first.
-        towards: the place.
         left: mean share of the way that is left, over each piece.
         end: (N, m) at last.
     """
 
-    start: Tensor
+    period: int
     towards: int
+    delays: tuple[float, float]
+    start: Tensor
     left: list[float]
     end: Tensor
 
@@ -311,12 +337,11 @@ class _SettingChange(NamedTuple):
         A twist changes smoothly along the way: five settings are asked for, at the Chebyshev points, however many
         pieces there are.
         """
-        target = twists.setting(self.towards)
         steady = twists.steady(self.towards)
         if not any(self.left):
             return [steady] * len(self.left)
         points = (1 - np.cos(np.linspace(0, np.pi, 5))) / 2
-        known = [steady, *(twists.at_setting(target + point * (self.start - target)) for point in points[1:])]
+        known = [steady, *(twists.on_the_way(self, float(point)) for point in points[1:])]
         weights = np.linalg.solve(np.vander(points).T, np.vander(self.left, len(points)).T).T
         return [
             sum((float(one) * twist for one, twist in zip(row, known, strict=True)), torch.zeros_like(steady))
@@ -326,7 +351,7 @@ class _SettingChange(NamedTuple):
 
 def _setting_changes(
     twists: BaseTwists, place: int, setting: Tensor, ends: Sequence[float], latency: float, added_lag: float
-) -> Iterator[_SettingChange]:
+) -> Iterator[SettingChange]:
     """Yield how settings change over a period: towards the command before until the new one acts, then towards that."""
     pieces = list(pairwise((0.0, *ends)))
     for at in (place + 1, place):
@@ -339,7 +364,7 @@ def _setting_changes(
         if shares:
             start, target = setting, twists.setting(at)
             setting = target + rest * (start - target)
-            yield _SettingChange(start, at, left, setting)
+            yield SettingChange(place, at, (latency, added_lag), start, left, setting)
 
 
 def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, moment: Moment) -> tuple[Tensor, Tensor]:
