@@ -84,7 +84,7 @@ def test_what_the_catalogue_does_not_know_is_not_named(robots, references):
     """Of clear effects outside the catalogue, 90 % are claimed to be noticed and to get no name."""
     right, said = 0, []
     for number, robot in enumerate(ROBOTS):
-        for name in drawn(known_to(OUTSIDE, robot), 2, 4 + number):
+        for name in drawn(known_to(OUTSIDE, robot), 3, 4 + number):
             session = hidden(robots[robot], name, CLEAR)
             result = diagnosed(references, session)
             right += result.verdict == "unexplained" and not result.causes

@@ -85,7 +85,8 @@ def detection_figure(results: pd.DataFrame) -> Figure:
         axes.minorticks_off()
         axes.set_xlabel("one-step error raised by the effect, %")
         axes.set_title(f"{len(single)} sessions with one effect of the catalogue")
-        figure.legend(loc="outside lower center", ncols=2)
+        if axes.get_legend_handles_labels()[0]:
+            figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
