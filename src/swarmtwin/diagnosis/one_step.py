@@ -109,11 +109,11 @@ class OneStepPredictor:
     def _twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int]) -> Tensor:
         moment = self.moment()
         measured = true = moment.pose
-        changing = []
+        moving, changing = [], []
         for mechanism in reversed(mechanisms):
             before, true = true, mechanism.from_measured(true, self.conditions)
-            if true is not before and "pose" in self.base.inputs:
-                changing.append(mechanism)
+            if true is not before:
+                moving.append(mechanism)
         moved_camera = true is not measured
         if moved_camera:
             moment = Moment(**{**vars(moment), "pose": true})
@@ -125,6 +125,8 @@ class OneStepPredictor:
         nominal = [mechanism for mechanism in mechanisms if mechanism.follows_clock()]
         if "duration_s" in self.base.inputs:
             changing += nominal
+        if changing or "pose" in self.base.inputs:  # what a controller gives may depend on the pose
+            changing += moving
         answers = self._answers(changing)
         twists = BaseTwists(self.base, moment, given, answers, roles, clock_is_nominal=bool(nominal))
         memory = remembered_after_two(mechanisms, twists)
