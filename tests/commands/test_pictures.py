@@ -83,6 +83,13 @@ def test_several_folders_are_drawn_side_by_side(swarmtwin, library, workshop):
     assert set(again) == {f"{name}/history.png" for name in ("kinematic", "mlp", "rough")}
 
 
+def test_a_name_with_an_apostrophe_is_a_name_like_any_other(swarmtwin, library, workshop):
+    shutil.copytree(library / "models" / "mlp", workshop / "it's")
+    answer = swarmtwin("experiment", "name=pictures", 'folder="it\'s"', "output=out")
+    assert answer.status == 0, answer.error
+    assert (workshop / "out" / "history.png").exists()
+
+
 @pytest.mark.parametrize(
     ("folder", "message"),
     [

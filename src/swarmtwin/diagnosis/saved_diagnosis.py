@@ -95,7 +95,7 @@ def read_result(folder: Path) -> DiagnosisResult:
     except FileNotFoundError:
         raise UserError(f"{file} is missing: name a folder that swarmtwin diagnose made") from None
     except json.JSONDecodeError as error:
-        raise UserError(f"{file} is damaged ({error}): run `dvc repro` again") from None
+        raise UserError(f"{file} is damaged ({error}): diagnose again") from None
 
 
 def _columns(name: str) -> list[str]:

@@ -123,21 +123,25 @@ def tracked_run(
 
 @store_errors()
 def keep_with_run(output: Path, pictures: Path) -> None:
-    """Keep a folder of pictures with the latest run that finished and left `output`; nothing where there is none.
+    """Keep a folder of pictures with the latest run that finished and left `output`, if there is one that can be found.
 
     Raises:
         UserError: the tracking store cannot be used.
     """
-    use_store()
-    found = mlflow.search_runs(
-        search_all_experiments=True,
-        filter_string=f"params.output = '{output}' and attributes.status = 'FINISHED'",
-        order_by=["attributes.start_time DESC"],
-        max_results=1,
-        output_format="list",
-    )
-    for run in found:
-        mlflow.MlflowClient().log_artifacts(run.info.run_id, str(pictures), "pictures")
+    quote = '"' if "'" in str(output) else "'"
+    if quote in str(output):  # a name that MLflow's filters cannot say
+        return
+    with store_errors():
+        use_store()
+        found = mlflow.search_runs(
+            search_all_experiments=True,
+            filter_string=f"params.output = {quote}{output}{quote} and attributes.status = 'FINISHED'",
+            order_by=["attributes.start_time DESC"],
+            max_results=1,
+            output_format="list",
+        )
+        for run in found:
+            mlflow.MlflowClient().log_artifacts(run.info.run_id, str(pictures), "pictures")
 
 
 def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study"]) -> str:
