@@ -1,5 +1,6 @@
 """`swarmtwin experiment name=pictures`: what a command left, drawn again from its folder alone."""
 
+import hashlib
 import shutil
 from pathlib import Path
 
@@ -12,12 +13,16 @@ from swarmtwin.tracking.runs import use_store
 from tiny_policies import save_seeker, simulation
 
 
+def digest(file):
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
 def redrawn(swarmtwin, workshop, folder):
-    """Draw a folder again; return the drawings of both by their paths."""
+    """Draw a folder again; return the digests of the drawings of both by their paths."""
     answer = swarmtwin("experiment", "name=pictures", f"folder={folder}", f"output={folder}-again")
     assert answer.status == 0, answer.error
     return [
-        {str(file.relative_to(place)): file.read_bytes() for file in place.rglob("*.*") if file.suffix in ENDINGS}
+        {str(file.relative_to(place)): digest(file) for file in place.rglob("*.*") if file.suffix in ENDINGS}
         for place in (workshop / folder, workshop / f"{folder}-again")
     ]
 

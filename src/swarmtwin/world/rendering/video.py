@@ -6,6 +6,7 @@ from itertools import chain
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 
 from swarmtwin.files import whole_file
@@ -43,6 +44,9 @@ def pictures(
 def write_video(path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24) -> None:
     """Write pictures (height, width, 3) uint8 of one even size as a video, whole or not at all.
 
+    The same pictures give the same bytes: one thread, and colours converted by OpenCV, since FFmpeg's conversion leaves
+    its rows' padding undefined, on which the encoder's decisions then depend.
+
     Raises:
         ValueError: there are no pictures, or their size is odd.
     """
@@ -52,8 +56,10 @@ def write_video(path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24
         raise ValueError("a video needs pictures of an even width and height")
     with whole_file(path) as aside, av.open(str(aside), "w", format="mp4", options={"movflags": "+faststart"}) as file:
         stream = file.add_stream("libx264", rate=frames_per_s, options={"crf": "20", "preset": "veryfast"})
+        stream.codec_context.thread_count = 1
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
         for image in chain([first], images):
-            file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+            planes = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420), np.uint8)
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")))
         file.mux(stream.encode(None))
