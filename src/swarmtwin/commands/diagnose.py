@@ -17,8 +17,8 @@ from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, output_folder
+from swarmtwin.learning.device import Device, one_thread
 from swarmtwin.learning.progress_bars import stage_bar
-from swarmtwin.learning.trainer import Device, one_thread
 from swarmtwin.robot import Robot, Seed, SituationPart, StrictModel
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import TrackedRun, tracked_run

@@ -6,7 +6,7 @@ from rich.console import Console
 
 from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.files import check_output, folder_digest, new_folder
-from swarmtwin.learning.trainer import Device, torch_device
+from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.evaluation import Measured, load_simulation, measure
 from swarmtwin.simulation.evaluation_folder import save_measurement

@@ -20,7 +20,7 @@ from swarmtwin.generators.quality_plots import draw_synthesis
 from swarmtwin.generators.sampling import Drawn, draw_believable
 from swarmtwin.generators.synthesis import GENERATOR, TRANSITIONS, Synthesis, save_drawn, save_synthesis, synthesise
 from swarmtwin.generators.training import Record, Report
-from swarmtwin.learning.trainer import Device
+from swarmtwin.learning.device import Device
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions import SplitOptions

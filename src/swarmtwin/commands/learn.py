@@ -12,8 +12,8 @@ from rich.table import Table
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, output_folder
+from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
-from swarmtwin.learning.trainer import Device, torch_device
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.learned_folder import origin_of, save_learned
 from swarmtwin.policies.policy_folder import PolicyProvenance

@@ -7,7 +7,7 @@ from pydantic import Field
 from rich.console import Console
 
 from swarmtwin.files import check_output, new_folder
-from swarmtwin.learning.trainer import Device
+from swarmtwin.learning.device import Device
 from swarmtwin.policies.policy_folder import load_policy
 from swarmtwin.policies.rollout_comparison import check_count, metrics_of, tracked_figures
 from swarmtwin.policies.rollout_folder import save_rollout

@@ -15,9 +15,9 @@ from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.trained_folder import TrainingData, provenance_of, save_trained
 from swarmtwin.dynamics.training import Trained, train
 from swarmtwin.files import check_output, new_folder, output_folder
+from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.learning.recipe import Recipe
-from swarmtwin.learning.trainer import Device, torch_device
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import TrackedRun, tracked_run

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
-from swarmtwin.learning.trainer import Device
+from swarmtwin.learning.device import Device
 from swarmtwin.learning.tuning import Range, complete_trials
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.studies.hyperparameter_search import HyperparameterSearch

@@ -15,11 +15,12 @@ from torch import Tensor
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import compose, displacement_between, log_map
 from swarmtwin.learning.situation import Situation
+from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import Answers, BaseTwists, period_motion, remembered_after_two
+from swarmtwin.simulation.signal_chain import period_motion, remembered_after_two
 
 
 class Outcome(NamedTuple):

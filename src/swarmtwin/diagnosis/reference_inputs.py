@@ -7,7 +7,7 @@ from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.model_folder import load_evidence
 from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.errors import UserError
-from swarmtwin.learning.trainer import Device, torch_device
+from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.evaluation import load_simulation

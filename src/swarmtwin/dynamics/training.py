@@ -21,9 +21,10 @@ from swarmtwin.dynamics.training_module import Epoch, EpochHistory, EpochReport,
 from swarmtwin.errors import UserError
 from swarmtwin.learning.batches import OrderedBatches, ShuffledBatches, TensorSplits, tensor_splits
 from swarmtwin.learning.dead_outputs import dead_outputs
+from swarmtwin.learning.device import Device, reproducible, torch_device
 from swarmtwin.learning.parallel import cores, run_side_by_side
 from swarmtwin.learning.recipe import Recipe
-from swarmtwin.learning.trainer import Device, reproducible, run_trainer, torch_device
+from swarmtwin.learning.trainer import run_trainer
 from swarmtwin.transitions import Transitions
 
 log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ import torch
 from swarmtwin.errors import UserError
 from swarmtwin.generators.columns import Columns
 from swarmtwin.generators.generator import Generator
-from swarmtwin.learning.trainer import one_thread
+from swarmtwin.learning.device import one_thread
 from swarmtwin.transitions import SPLITS, Transitions
 
 

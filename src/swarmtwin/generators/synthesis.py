@@ -11,7 +11,7 @@ from swarmtwin.generators.generator_folder import Lineage, save_generator
 from swarmtwin.generators.quality import Quality, Sets, assess, marginals
 from swarmtwin.generators.sampling import Drawn, draw_believable
 from swarmtwin.generators.training import Record, Report, fit
-from swarmtwin.learning.trainer import Device
+from swarmtwin.learning.device import Device
 from swarmtwin.transitions import Preparation, Transitions, first_runs
 from swarmtwin.transitions.preparation import save_preparation
 from swarmtwin.transitions.transitions import Split

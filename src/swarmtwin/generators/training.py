@@ -9,7 +9,8 @@ import numpy as np
 from swarmtwin.errors import UserError
 from swarmtwin.generators.columns import Columns
 from swarmtwin.generators.generator import Generator, GeneratorConfig, RealRows
-from swarmtwin.learning.trainer import Device, reproducible, run_trainer
+from swarmtwin.learning.device import Device, reproducible
+from swarmtwin.learning.trainer import run_trainer
 from swarmtwin.transitions import Transitions
 
 Record = dict[str, float]

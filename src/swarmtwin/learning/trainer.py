@@ -1,36 +1,18 @@
-"""Where learning takes place, and Lightning's trainer with everything off that a small network does not need."""
+"""Lightning's trainer with everything off that a small network does not need."""
 
 import logging
 import signal
 import warnings
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import lightning
-import torch
 from lightning.pytorch.plugins.environments import LightningEnvironment
 
-from swarmtwin.errors import UserError
+from swarmtwin.learning.device import Device, torch_device
 
 logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-
-Device = Literal["auto", "cpu", "gpu"]
-"""Where to compute: `gpu` wants a GPU (CUDA or ROCm), `auto` takes one where there is one."""
-
-
-def torch_device(device: Device) -> torch.device:
-    """Return the device that the configuration's word means on this machine.
-
-    Raises:
-        UserError: a GPU is asked for, and torch finds none.
-    """
-    if device == "cpu" or (device == "auto" and not torch.cuda.is_available()):
-        return torch.device("cpu")
-    if not torch.cuda.is_available():
-        raise UserError("device: gpu is asked for, but torch finds none here: take device=cpu or device=auto")
-    return torch.device("cuda", torch.cuda.current_device())
 
 
 def run_trainer(
@@ -79,28 +61,3 @@ def run_trainer(
     except SystemExit:  # what Lightning makes of Ctrl-C and SIGTERM
         signal.signal(signal.SIGINT, interrupt_handler)
         raise KeyboardInterrupt from None
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let torch compute on one thread: as quick on nets this small, and the same numbers every time."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-@contextmanager
-def reproducible(seed: int, device: Device = "cpu") -> Iterator[None]:
-    """Compute on one thread, from the random numbers of a seed; afterwards the caller's go on as if nothing had been.
-
-    Args:
-        seed: of torch's random numbers.
-        device: where else than on the CPU random numbers are drawn.
-    """
-    chosen = torch_device(device)
-    with one_thread(), torch.random.fork_rng(devices=[chosen] if chosen.type == "cuda" else []):
-        torch.manual_seed(seed)
-        yield

@@ -15,8 +15,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from swarmtwin.errors import UserError
+from swarmtwin.learning.device import Device, one_thread, torch_device
 from swarmtwin.learning.parallel import run_side_by_side
-from swarmtwin.learning.trainer import Device, one_thread, torch_device
 from swarmtwin.policies.algorithm import AlgorithmConfig
 from swarmtwin.policies.checkpoint import (
     algorithm_state,

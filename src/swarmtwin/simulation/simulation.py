@@ -15,10 +15,11 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, wrap_angle
 from swarmtwin.learning.situation import ALL_PARTS, Situation
 from swarmtwin.robot import SituationPart
+from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import BaseTwists, period_motion, remembered_after_long, remembered_after_two
+from swarmtwin.simulation.signal_chain import period_motion, remembered_after_long, remembered_after_two
 from swarmtwin.simulation.state import State
 
 

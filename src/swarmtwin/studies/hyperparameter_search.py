@@ -14,10 +14,10 @@ from optuna.trial import TrialState
 from swarmtwin.dynamics.model_config import ModelConfig, model_config
 from swarmtwin.dynamics.training import train
 from swarmtwin.errors import UserError, near_miss
+from swarmtwin.learning.device import Device
 from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.learning.recipe import Recipe
-from swarmtwin.learning.trainer import Device
 from swarmtwin.learning.tuning import Range, SharedStudy, identity, trials_done
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking.runs import parent_run, tracked_run

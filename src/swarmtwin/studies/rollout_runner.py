@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from swarmtwin.errors import UserError
-from swarmtwin.learning.trainer import Device, torch_device
+from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.policies.policy_folder import StoredPolicy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.robot import Robot

@@ -20,9 +20,9 @@ from swarmtwin.configuration import config_folder
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.learning.device import one_thread
 from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.learning.progress_bars import quieter
-from swarmtwin.learning.trainer import one_thread
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.standin.session import require_stand_in
 from swarmtwin.studies.hidden_effects.cases import Case, CaseCounts, Plan, draw_cases

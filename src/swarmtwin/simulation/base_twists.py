@@ -1,0 +1,102 @@
+"""What a dynamics model answers to the last commands of N vehicles, as twists (N, 3) per nominal period.
+
+Forward and left in mm, turn in rad: the constant motion that leads to the displacement it predicts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.geometry import log_map
+from swarmtwin.simulation.mechanism import Moment
+
+
+@dataclass
+class Answers:
+    """Twists (N, 3) that a dynamics model has answered to the same commands from the same poses.
+
+    Attributes:
+        to_commands: by the indices of the command and of the one before it.
+        to_settings: to settings on their way, by the roles of the commands, the way and the share of it that is left.
+        delays: lateness and lag for which these settings hold.
+    """
+
+    to_commands: dict[tuple[int, int], Tensor] = field(default_factory=dict)
+    to_settings: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
+    delays: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class BaseTwists:
+    """What a dynamics model answers to the last commands of N vehicles, each question asked once.
+
+    Attributes:
+        dynamics: the model.
+        moment: where the vehicles are.
+        commands: (N, m) each, as the actuators are given them: the present one, the one before, and so on.
+        known: answers so far; shared between evaluations in which commands, poses and what came before are the same.
+        roles: which of the commands stands in each place: (0, 1, 2), unless a command was lost and another goes on.
+        clock_is_nominal: whether the model is told the nominal period whatever the measured one, since a mechanism
+            accounts for the difference.
+    """
+
+    dynamics: DynamicsModel
+    moment: Moment
+    commands: Sequence[Tensor]
+    known: Answers = field(default_factory=Answers)
+    roles: Sequence[int] = (0, 1, 2)
+    clock_is_nominal: bool = False
+
+    def setting(self, place: int) -> Tensor:
+        """Return the commands (N, m) in a place: 0 for the present one."""
+        return self.commands[self.roles[place]]
+
+    def response(self, place: int) -> Tensor:
+        """Return the twists under the command in a place after the one before it, held over one period each."""
+        return self._answer(self.roles[place], self.roles[place + 1])
+
+    def steady(self, place: int) -> Tensor:
+        """Return the twists under the command in a place, held for long."""
+        return self._answer(self.roles[place], self.roles[place])
+
+    def displacement(self) -> Tensor:
+        """Return the model's own answer to the present command, displacements (N, 3), with nothing beyond it."""
+        before, earlier = self.commands[1], self.commands[2]
+        return self._predicted(self.commands[0], before, earlier)
+
+    def at_setting(self, setting: Tensor, way: tuple[object, ...], delays: tuple[float, float]) -> Tensor:
+        """Return the twists under a setting (N, m) held for long.
+
+        Args:
+            setting: which fins or propellers pass through within the period.
+            way: tells the setting from others: from where to where it leads, and how much of that is left.
+            delays: lateness and lag for which the same way leads through the same settings.
+        """
+        if delays != self.known.delays:
+            self.known.to_settings, self.known.delays = {}, delays
+        key = (*self.roles, *way)
+        if key not in self.known.to_settings:
+            self.known.to_settings[key] = self._ask(setting, setting, setting)
+        return self.known.to_settings[key]
+
+    def _answer(self, now: int, before: int) -> Tensor:
+        if "previous_command" not in self.dynamics.inputs:
+            before = now
+        known = self.known.to_commands
+        if (now, before) not in known:
+            earlier = before if now == before else min(before + 1, len(self.commands) - 1)
+            known[now, before] = self._ask(*(self.commands[index] for index in (now, before, earlier)))
+        return known[now, before]
+
+    def _ask(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
+        return log_map(self._predicted(command, previous, earlier))
+
+    def _predicted(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
+        moment = self.moment
+        if self.clock_is_nominal:
+            moment = replace(moment, duration_s=torch.full_like(moment.duration_s, moment.robot.period_s))
+        situation = moment.situation(command, previous, earlier).only(self.dynamics.inputs)
+        return self.dynamics.predict(situation).double()

@@ -1,0 +1,184 @@
+"""Actuators that follow a command late and gradually, within one control period.
+
+Twists are per nominal period: (N, 3) forward_mm, left_mm, turn_rad. Times are in periods.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.geometry import compose, exp_map, log_map
+from swarmtwin.simulation.base_twists import BaseTwists
+
+Supply = Callable[[Tensor], Tensor]
+"""What becomes of twists (N, 3) of actuators with their supply as it is."""
+
+
+class WheelTwists(NamedTuple):
+    """Twists (N, 3) that wheels have, and those that they would have with no lag but their own."""
+
+    now: Tensor
+    undisturbed: Tensor
+
+
+class Following(NamedTuple):
+    """How actuators follow a command through the pieces of a period.
+
+    Attributes:
+        place: of the command in `BaseTwists`; the one before it acts first.
+        ends: shares of the period at which its pieces end; the last is 1.
+        latency: when the command begins to act.
+        added_lag: time constant with which actuators follow it, beyond the lag that they have by themselves.
+    """
+
+    place: int
+    ends: tuple[float, ...]
+    latency: float
+    added_lag: float
+
+    @property
+    def shares(self) -> list[float]:
+        """Return the share of the period that each piece takes."""
+        return [end - start for start, end in pairwise((0.0, *self.ends))]
+
+    def wheels(
+        self, twists: BaseTwists, supply: Supply, wheels: WheelTwists
+    ) -> tuple[list[Tensor], Tensor | None, WheelTwists]:
+        """Let wheels' speeds follow: the mean twist of each piece, a correction to that of all, wheels at the end.
+
+        The dynamics model's response holds the lag that the actuators have by themselves. It stands where nothing is
+        added: the pieces are shifted by what it differs from a lag of first order, and what their product lacks is
+        corrected.
+        """
+        own_lag = twists.moment.conditions.own_lag
+        response, new, old = (
+            supply(twist)
+            for twist in (twists.response(self.place), twists.steady(self.place), twists.steady(self.place + 1))
+        )
+        twist, reference = wheels
+        pieces, references = [], []
+        for share, end in zip(self.shares, self.ends, strict=True):
+            mean, twist = _relaxed_twist(twist, old if end <= self.latency else new, share, own_lag + self.added_lag)
+            reference_mean, reference = _relaxed_twist(reference, new, share, own_lag)
+            pieces.append(mean)
+            references.append(reference_mean)
+        learned = response - sum(share * piece for share, piece in zip(self.shares, references, strict=True))
+        correction = None
+        if own_lag > 0:
+            undisturbed = composed(zip(self.shares, (piece + learned for piece in references), strict=True))
+            correction = response - log_map(undisturbed)
+        return [piece + learned for piece in pieces], correction, WheelTwists(twist, reference)
+
+    def settings(self, twists: BaseTwists, supply: Supply, setting: Tensor) -> tuple[list[Tensor], Tensor]:
+        """Let the setting (N, m) of fins or propellers follow: the mean twist of each piece, the setting at the end."""
+        pieces: list[Tensor] = []
+        for change in self._setting_changes(twists, setting):
+            pieces += [supply(piece) for piece in change.twists(twists)]
+            setting = change.end
+        learned = supply(twists.response(self.place)) - supply(twists.steady(self.place))
+        return [piece + learned for piece in pieces], setting
+
+    def setting_at_end(self, twists: BaseTwists, setting: Tensor) -> Tensor:
+        """Return where the setting (N, m) of fins or propellers has come to at the period's end."""
+        for change in self._setting_changes(twists, setting):
+            setting = change.end
+        return setting
+
+    def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
+        """Yield how settings change: towards the command before until the new one acts, then towards that."""
+        for at in (self.place + 1, self.place):
+            before = at == self.place + 1
+            shares = [
+                share for share, end in zip(self.shares, self.ends, strict=True) if (end <= self.latency) == before
+            ]
+            left, rest = [], 1.0
+            for share in shares:
+                on_average, at_last = _left_over(share, self.added_lag)
+                left.append(rest * on_average)
+                rest *= at_last
+            if shares:
+                start, target = setting, twists.setting(at)
+                setting = target + rest * (start - target)
+                yield SettingChange(self, at, start, left, setting)
+
+
+class SettingChange(NamedTuple):
+    """Settings on their way from `start` (N, m) towards the command in a place.
+
+    Attributes:
+        following: the period in which they are.
+        towards: the place of the command towards which they go.
+        start: (N, m) at first.
+        left: mean share of the way that is left, over each piece.
+        end: (N, m) at last.
+    """
+
+    following: Following
+    towards: int
+    start: Tensor
+    left: list[float]
+    end: Tensor
+
+    def twists(self, twists: BaseTwists) -> list[Tensor]:
+        """Return the mean twist (N, 3) of each piece, of fourth degree in what is left of the way.
+
+        A twist changes smoothly along the way: five settings are asked for, at the Chebyshev points, however many
+        pieces there are.
+        """
+        steady = twists.steady(self.towards)
+        if not any(self.left):
+            return [steady] * len(self.left)
+        points = (1 - np.cos(np.linspace(0, np.pi, 5))) / 2
+        known = [steady, *(self._on_the_way(twists, float(point)) for point in points[1:])]
+        weights = np.linalg.solve(np.vander(points).T, np.vander(self.left, len(points)).T).T
+        return [
+            sum((float(one) * twist for one, twist in zip(row, known, strict=True)), torch.zeros_like(steady))
+            for row in weights
+        ]
+
+    def _on_the_way(self, twists: BaseTwists, left: float) -> Tensor:
+        """Return the twists (N, 3) under settings held for long, with a share of their way left."""
+        period, target = self.following, twists.setting(self.towards)
+        way = (period.place, self.towards, left)
+        return twists.at_setting(target + left * (self.start - target), way, (period.latency, period.added_lag))
+
+
+def composed(pieces: Iterable[tuple[float, Tensor]]) -> Tensor:
+    """Return the displacements (N, 3) of twists one after the other, each over its share of the period."""
+    (share, twist), *others = pieces
+    moved = exp_map(twist * share)
+    for share, twist in others:
+        moved = compose(moved, exp_map(twist * share))
+    return moved
+
+
+def _relaxed_twist(start: Tensor, target: Tensor, share: float, lag: float) -> tuple[Tensor, Tensor]:
+    """Return the constant twist that brings vehicles as far as one that goes from `start` to `target`, and its end.
+
+    The mean, and to second order what it matters that the old twist (N, 3) comes first: half the integral of the Lie
+    bracket of earlier and later twists, as Magnus (1954) expands g' = g ξ.
+    """
+    late = start - target
+    on_average, left = _left_over(share, lag)
+    order = (lag * (1 + left) - 2 * lag * on_average) / 2
+    return target + late * on_average + _bracket(late, target) * order, target + late * left
+
+
+def _left_over(share: float, lag: float) -> tuple[float, float]:
+    """Return what is left of a change followed with a lag over a share of the period: on average, and at last."""
+    if lag <= 0:
+        return 0.0, 0.0
+    left = math.exp(-share / lag)
+    return lag / share * (1 - left), left
+
+
+def _bracket(one: Tensor, other: Tensor) -> Tensor:
+    """Return the Lie bracket (N, 3) of twists on SE(2)."""
+    ahead = other[:, 2] * one[:, 1] - one[:, 2] * other[:, 1]
+    left = one[:, 2] * other[:, 0] - other[:, 2] * one[:, 0]
+    return torch.stack([ahead, left, torch.zeros_like(left)], dim=-1)
