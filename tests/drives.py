@@ -9,9 +9,10 @@ from swarmtwin.recordings.writing import write_recording
 
 
 def header_of(robot, vehicles=None):
-    return Header(
-        robot=robot.name, period_s=robot.period_s, arena_mm=robot.arena_mm, source="made up", vehicles=vehicles
-    )
+    """A header that says that motion need not follow commands: here it is made up."""
+    arena_mm, accept = robot.arena_mm, ("frame", "scale")
+    about = {"robot": robot.name, "period_s": robot.period_s, "source": "made up"}
+    return Header(**about, arena_mm=arena_mm, vehicles=vehicles, accept=accept)
 
 
 def drive(robot, runs=2, steps=10, vehicles=("1", "2"), seed=0):

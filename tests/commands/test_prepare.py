@@ -2,13 +2,16 @@
 
 import json
 
+import mlflow
 import numpy as np
+import pandas as pd
 import pytest
 
 from drives import drive, write_drive
 from swarmtwin.commands import prepare
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.tracking.runs import use_store
 from swarmtwin.transitions import SPLITS, from_recording, load_preparation, load_transitions
 
 SPLIT = {"fractions": {"train": 0.85, "validation": 0.05, "test": 0.10}, "seed": 1}
@@ -119,3 +122,42 @@ def test_unknown_and_wrong_options_are_refused(options):
         options(outptu="x")
     with pytest.raises(UserError, match=r"must sum to 1, not 0\.9"):
         options(split={"fractions": {"train": 0.8, "validation": 0.0, "test": 0.1}, "seed": 1})
+
+
+def test_a_warning_stays_with_what_is_prepared_and_learned(swarmtwin, workshop):
+    for file in (workshop / "reference" / "runs").iterdir():
+        rows = pd.read_csv(file)
+        rows[["x_mm", "y_mm"]] *= 0.6
+        rows.to_csv(file, index=False)
+    answer = swarmtwin("prepare", "recording=reference", "output=prepared", "pictures=false")
+    assert answer.status == 0, answer.error
+    (warning,) = load_preparation(workshop / "prepared").warnings
+    assert "from its origin on: are they in pixels?" in warning
+    assert f"warning: {warning}" in answer.shown
+    options = ("model=kinematic", "model.steps=5", "seeds=1", "register=false", "pictures=false")
+    assert swarmtwin("train", "transitions=prepared", *options, "output=model").status == 0
+    use_store()
+    (run,) = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    assert run.data.tags["recording.warnings"] == warning
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        (["x_mm", "y_mm"], 0.001, "are they in metres? Multiply x_mm, y_mm by 1000"),
+        (["heading_rad"], 180 / np.pi, "are headings in degrees? Multiply heading_rad by 0.0174533"),
+        (["time_s"], 1000, "are times in milliseconds? Multiply time_s by 0.001"),
+        (["left", "right"], 1 / 120, "are left, right shares of the limits? Multiply them by the limits"),
+    ],
+)
+def test_a_wrong_unit_is_one_line_and_leaves_nothing(swarmtwin, workshop, column, factor, said):
+    for file in (workshop / "reference" / "runs").iterdir():
+        rows = pd.read_csv(file)
+        rows[column] *= factor
+        rows.to_csv(file, index=False)
+    answer = swarmtwin("prepare", "recording=reference", "output=prepared")
+    assert answer.status == 2
+    assert answer.error.startswith("swarmtwin prepare: reference: ")
+    assert said in answer.error
+    assert answer.error.count("\n") == 1
+    assert not (workshop / "prepared").exists()

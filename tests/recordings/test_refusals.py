@@ -58,7 +58,7 @@ def test_header_with_an_unknown_field(mgr, folder):
     file = edit_header(folder, vehicle=["1"])
     assert refusal(folder, mgr) == (
         f"{file}: unknown field 'vehicle': did you mean 'vehicles'? "
-        "known: arena_mm, notes, period_s, robot, source, started_at, vehicles"
+        "known: accept, arena_mm, notes, period_s, robot, source, started_at, vehicles"
     )
 
 

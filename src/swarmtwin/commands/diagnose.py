@@ -82,6 +82,7 @@ def run(options: Options) -> None:
             if options.pictures:
                 draw_diagnosis(inside, inside)
         _track(tracked, output, diagnosed)
+        tracked.warnings(measured.warnings)
         registered = _registered(options, tracked, output, diagnosed)
     Console().print(table(diagnosed.result))
     page = "report.html" if options.pictures else "diagnosis.json"

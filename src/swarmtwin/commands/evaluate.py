@@ -51,6 +51,7 @@ def run(options: Options) -> None:
             save_measurement(folder, measurement, recording.header.arena_mm, about)
             draw_evaluation(folder, folder)
         tracked.metrics(measurement.overall.tracked())
+        tracked.warnings(recording.warnings)
         tracked.tag("simulation.digest", folder_digest(simulation))
         tracked.folder(options.output, "evaluation")
     Console().print(measurement_table(name, measurement))

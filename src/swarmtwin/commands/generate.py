@@ -99,6 +99,7 @@ def _train(options: Options, robot: Robot) -> None:
     check_output(output, "generate", options.overwrite, [source])
     with tracked_run("generator", name, settings, [source], options.seed) as tracked:
         started = time.monotonic()
+        tracked.warnings(preparation.warnings)
         with new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder:
             with _training_bar(f"{robot.name} {config.name}", config.training_steps) as report:
                 made = synthesise(

@@ -44,6 +44,8 @@ def run(options: Options) -> None:
             draw_preparation(folder, folder)
     for table in summary(preparation):
         Console().print(table)
+    for warning in preparation.warnings:
+        Console().print(f"warning: {warning}", highlight=False, soft_wrap=True)
 
 
 def summary(preparation: Preparation) -> tuple[Table, Table]:

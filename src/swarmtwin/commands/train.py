@@ -77,6 +77,7 @@ def run(options: Options) -> None:
                 draw_training(folder, folder)
             shutil.rmtree(folder / "checkpoints", ignore_errors=True)
         _track(tracked, trained, provenance, time.monotonic() - started)
+        tracked.warnings(data.preparation.warnings)
         kept = tracked.folder(output, "model")
         registered = "not registered"
         if options.register_model:

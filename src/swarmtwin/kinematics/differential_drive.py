@@ -1,11 +1,14 @@
 """Two wheels, each told its effort; a command is left, right."""
 
-from collections.abc import Mapping
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from swarmtwin.kinematics import Actuators, DrivenRobot, KinematicEquations, PhysicalParameter
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 WHEELS = ("left", "right")
 
@@ -37,7 +40,7 @@ class Equations(KinematicEquations):
         """Turn wheel speeds into forward speed and turn rate."""
         limit = self._limit(robot)
         left, right = (self._wheel_mm_s(wheel, command[:, i], values, limit) for i, wheel in enumerate(WHEELS))
-        return (left + right) / 2, torch.zeros_like(left), (right - left) / values["track_mm"]
+        return (left + right) / 2, left.new_zeros(len(left)), (right - left) / values["track_mm"]
 
     def _wheel_mm_s(self, wheel: str, command: Tensor, values: Mapping[str, Tensor], limit: float) -> Tensor:
         effort = (command.abs() - values[f"{wheel}_dead_band"]).relu()

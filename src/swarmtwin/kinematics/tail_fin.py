@@ -1,11 +1,14 @@
 """One oscillating tail fin; a command is its mean angle in degrees, amplitude in degrees and frequency in rad/s."""
 
-from collections.abc import Mapping
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from swarmtwin.kinematics import Actuators, DrivenRobot, KinematicEquations, PhysicalParameter
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class Equations(KinematicEquations):
@@ -41,7 +44,7 @@ class Equations(KinematicEquations):
         self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Split the push by the angle at which it acts: trimmed, and larger than the fin's where the body gives way."""
-        angle_rad = values["angle_gain"] * torch.deg2rad(command[:, 0] + values["trim_deg"])
+        angle_rad = values["angle_gain"] * (command[:, 0] + values["trim_deg"]).deg2rad()
         strongest_beat = float(robot.command_high[1] * robot.command_high[2])
         beat = (command[:, 1] * command[:, 2] / strongest_beat).clamp(min=1e-6)  # 0 has no derivative of its power
         push, side, turn = (beat ** values[f"{name}_exponent"] for name in ("push", "side", "turn"))

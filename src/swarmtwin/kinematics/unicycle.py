@@ -1,11 +1,14 @@
 """A vehicle that is told its motion; a command is a forward speed in mm/s and a turn rate in rad/s."""
 
-from collections.abc import Mapping
+from __future__ import annotations
 
-import torch
-from torch import Tensor
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from swarmtwin.kinematics import Actuators, DrivenRobot, KinematicEquations, PhysicalParameter
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class Equations(KinematicEquations):
@@ -32,4 +35,4 @@ class Equations(KinematicEquations):
         """Scale the command."""
         forward_mm_s = values["speed_gain"] * command[:, 0]
         turn_rad_s = values["turn_gain"] * command[:, 1] + values["veer_rad_per_mm"] * forward_mm_s
-        return forward_mm_s, torch.zeros_like(forward_mm_s), turn_rad_s
+        return forward_mm_s, forward_mm_s.new_zeros(len(forward_mm_s)), turn_rad_s

@@ -7,12 +7,15 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from swarmtwin.errors import UserError
+from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.recording import Header, Recording, Track, fault
 from swarmtwin.recordings.tables import parse_run
 from swarmtwin.recordings.tracks import tracks_of
@@ -26,17 +29,21 @@ logger = logging.getLogger(__name__)
 
 
 def read_recording(folder: Path, robot: Robot) -> Recording:
-    """Read the recording of `robot` in `folder`. Nothing in it is modified.
+    """Read the recording of `robot` in `folder`, and judge it as a whole. Nothing in it is modified.
 
-    Faults of single rows are counted in `Recording.dropped_rows` and logged in one line.
+    Faults of single rows are counted in `Recording.dropped_rows` and logged in one line; what is unusual of the whole
+    is in `Recording.warnings`, and logged.
 
     Raises:
-        UserError: for a fault of a file, naming the file, the row, the column and the remedy.
+        UserError: for a fault of a file, naming the file, the row, the column and the remedy; or the recording as a
+            whole cannot be what it says.
     """
     folder = Path(folder)
     header = read_header(folder)
     _check_header(folder / HEADER_FILE, header, robot)
     tracks: list[Track] = []
+    in_degrees: list[Track] = []
+    beyond_a_turn = False
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
@@ -48,10 +55,20 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
         run_tracks, run_dropped = tracks_of(table, file.stem, header.vehicles)
         tracks += run_tracks
         dropped += run_dropped
+        beyond_a_turn |= bool(np.any(np.abs(table.pose[:, 2]) > 2 * np.pi))
+        if beyond_a_turn:
+            in_degrees += tracks_of(table.with_headings_in_degrees(), file.stem, header.vehicles)[0]
     if not tracks:
         raise fault(folder / RUNS_FOLDER, "no run holds a complete row", "record the runs again")
     _log_oddities(folder, tracks, dropped, tuple(unread))
-    return Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest())
+    recording = Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest())
+    try:
+        warnings = judge(recording, replace(recording, tracks=tuple(in_degrees)) if in_degrees else None)
+    except UserError as error:
+        raise UserError(f"{folder}: {error}") from None
+    for warning in warnings:
+        logger.warning("%s: %s", folder, warning)
+    return replace(recording, warnings=warnings)
 
 
 def read_header(folder: Path) -> Header:

@@ -4,11 +4,15 @@ import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Arena, Robot, StrictModel
+
+Check = Literal["clock", "commands", "still", "arena", "scale", "frame"]
+"""What a recording as a whole is judged by: see `plausibility/`."""
 
 
 class Header(StrictModel):
@@ -22,6 +26,7 @@ class Header(StrictModel):
         vehicles: the ids that occur, if stated.
         started_at: date and time of the session, if stated.
         notes: anything else a person should know.
+        accept: checks whose contradictions a person has looked at: they become warnings.
     """
 
     robot: str
@@ -31,6 +36,7 @@ class Header(StrictModel):
     vehicles: tuple[str, ...] | None = None
     started_at: str | None = None
     notes: str | None = None
+    accept: tuple[Check, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,7 @@ class Recording:
         header: the content of `recording.yaml`.
         tracks: in order of run, then vehicle.
         dropped_rows: rows set aside while reading, counted by reason.
+        warnings: what is unusual of it as a whole and may be meant.
         digest: identifies the content of the runs, to tell one recording from another.
     """
 
@@ -79,6 +86,7 @@ class Recording:
     tracks: tuple[Track, ...]
     dropped_rows: Mapping[str, int] = field(default_factory=dict)
     digest: str = ""
+    warnings: tuple[str, ...] = ()
 
     @property
     def runs(self) -> tuple[str, ...]:

@@ -6,9 +6,9 @@ import functools
 import re
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -88,6 +88,10 @@ class RunTable:
     truncated: bool
     unread: tuple[str, ...]
     row_number: Callable[[int], int]
+
+    def with_headings_in_degrees(self) -> Self:
+        """Return it with headings taken for degrees."""
+        return replace(self, pose=np.column_stack([self.pose[:, :2], np.deg2rad(self.pose[:, 2])]))
 
 
 def parse_run(file: Path, content: bytes, robot: Robot) -> RunTable:

@@ -9,10 +9,10 @@ import torch
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between
 from swarmtwin.recordings.recording import Track
+from swarmtwin.recordings.rows import at_most
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.state import State
 from swarmtwin.transitions.neighbours import Moments, others_of
-from swarmtwin.transitions.rows import at_most
 
 
 class OpenLoop(NamedTuple):

@@ -72,6 +72,11 @@ class TrackedRun:
         """Mark the run."""
         mlflow.MlflowClient().set_tag(self.run_id, name, value)
 
+    def warnings(self, texts: Sequence[str]) -> None:
+        """Keep what is unusual of the recording that was used, if anything is, as the tag `recording.warnings`."""
+        if texts:
+            self.tag("recording.warnings", "\n".join(texts))
+
     @store_errors()
     def figure(self, figure: Figure, name: str) -> None:
         """Keep a plot as `figures/<name>.png`."""

@@ -9,9 +9,9 @@ import numpy as np
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between
 from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.rows import Rows, at_most
 from swarmtwin.robot import Robot
 from swarmtwin.transitions.neighbours import neighbours_at, others_of
-from swarmtwin.transitions.rows import Rows, at_most
 from swarmtwin.transitions.teleports import doubtful_rows, teleports
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 
 from swarmtwin.geometry import displacement_between, wrap_angle
+from swarmtwin.recordings.rows import at_most
 from swarmtwin.robot import Robot
-from swarmtwin.transitions.rows import at_most
 
 
 def relative_poses(pose: np.ndarray) -> np.ndarray:

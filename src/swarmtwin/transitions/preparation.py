@@ -86,6 +86,7 @@ class Preparation(RecordingOrigin):
         runs: names of the runs in each split; a run without a transition is in none.
         transitions: number of transitions in each split.
         learned: digests of the tracks that a model trained on these transitions has seen: train and validation.
+        warnings: what is unusual of the recording as a whole and may be meant; left out of the file where nothing is.
         origin: whether the transitions were measured, sampled from a generator, or are some of each.
         generator: where synthetic ones come from; null for real ones.
     """
@@ -97,6 +98,7 @@ class Preparation(RecordingOrigin):
     runs: dict[str, tuple[str, ...]]
     transitions: dict[str, int]
     learned: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
     arena_mm: Arena | None = None
     origin: Origin = "real"
     generator: GeneratorOrigin | None = None
@@ -127,6 +129,7 @@ def describe(
         runs=runs,
         transitions=counts_by_split(transitions),
         learned=tuple(sorted(track.digest() for track in recording.tracks if track.run not in unseen)),
+        warnings=recording.warnings,
     )
 
 
@@ -145,7 +148,8 @@ def counts_by_split(transitions: Transitions) -> dict[str, int]:
 def save_preparation(folder: Path, transitions: Transitions, preparation: Preparation) -> None:
     """Write transitions and `preparation` into an existing `folder`."""
     save_transitions(folder, transitions)
-    write_text(folder / PREPARATION_FILE, preparation.model_dump_json(indent=1) + "\n")
+    silent = None if preparation.warnings else {"warnings"}
+    write_text(folder / PREPARATION_FILE, preparation.model_dump_json(indent=1, exclude=silent) + "\n")
 
 
 def save_transitions(folder: Path, transitions: Transitions) -> None:

@@ -12,8 +12,8 @@ ten periods, somebody has moved it by hand, and the track is trusted again from 
 import numpy as np
 
 from swarmtwin.geometry import displacement_between, wrap_angle
+from swarmtwin.recordings.rows import Rows
 from swarmtwin.robot import Robot
-from swarmtwin.transitions.rows import Rows
 
 
 def teleports(displacement: np.ndarray, periods: np.ndarray, robot: Robot, factor: float = 3.0) -> np.ndarray:

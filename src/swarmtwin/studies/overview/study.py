@@ -172,12 +172,16 @@ def _drawn_files(
 
 def _recordings_table(chapters: list[Chapter]) -> Table:
     table = Table("robot", "recorded", "transitions kept", "dropped", "train / validation / test", title="Recordings")
+    table.add_column("warnings")
     for chapter in chapters:
         counts = chapter.preparation.counts
         dropped = ", ".join(f"{reason} {number}" for reason, number in counts.dropped.items())
         splits = " / ".join(str(number) for number in chapter.preparation.transitions.values())
         vehicles = ", ".join(chapter.preparation.vehicles)
-        table.add_row(chapter.robot.name, f"vehicle {vehicles}", f"{counts.kept:,}", dropped or "none", splits)
+        warnings = "; ".join(chapter.preparation.warnings) or "none"
+        table.add_row(
+            chapter.robot.name, f"vehicle {vehicles}", f"{counts.kept:,}", dropped or "none", splits, warnings or "none"
+        )
     return table
 
 
