@@ -15,6 +15,7 @@ class RefusedError(UserError):
 def near_miss(word: str, known: Iterable[str]) -> str:
     """Return a remedy for an unknown `word`: the known word meant, if one is near, and all known words."""
     known = sorted(known)
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(word, known, n=5, cutoff=0.6)
+    close.sort(key=lambda name: sorted(name) != sorted(word))  # the same letters in another order before others
     meant = f"did you mean {close[0]!r}? " if close else ""
     return f"{meant}known: {', '.join(known) or 'none'}"

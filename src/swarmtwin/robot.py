@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 from swarmtwin import kinematics
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.kinematics import Actuators, KinematicEquations
+from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.strict_model import Positive, StrictModel
 
@@ -130,7 +131,7 @@ class Robot(StrictModel):
             UserError: the file is missing, no YAML, or not a robot.
         """
         try:
-            content = yaml.safe_load(path.read_text())
+            content = read_yaml(path)
         except FileNotFoundError:
             known = [file.stem for file in path.parent.glob("*.yaml")]
             raise UserError(f"no robot file {path}: {near_miss(path.stem, known)}") from None

@@ -7,8 +7,16 @@ from whole_recordings import Judged, headed, in_unit, posed, scaled, sound, time
 
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.standin.physics import Physics
 
 REFUSED, WARNED, TRUSTED = "refused", "warned", "trusted"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _quick_stand_ins():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Physics, "bank_rows", 2048)
+        yield
 
 
 @pytest.fixture

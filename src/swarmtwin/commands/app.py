@@ -11,10 +11,9 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 
 import hydra
@@ -27,6 +26,8 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
+from swarmtwin.commands.option_help import show_help
+from swarmtwin.commands.outside_config import check_outside_configs
 from swarmtwin.configuration import config_files, config_folder, config_folders, let_hydra_find_plugins
 from swarmtwin.errors import RefusedError, UserError, near_miss
 
@@ -56,13 +57,17 @@ def run_command(name: str, arguments: list[str]) -> Status:
     config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
     try:
         let_hydra_find_plugins()
+        check_outside_configs(arguments)
+        study = chosen_study(arguments) if name == "experiment" else None
         if name == "experiment":
-            study = chosen_study(arguments)
             if study is None:
                 print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(studies())}")
                 return Status.DONE
             config_name, module_name = f"experiment/{study}", f"swarmtwin.studies.{study}.study"
-        _run_app(importlib.import_module(module_name), config_name)
+        if {"--help", "-h"} & set(arguments):
+            show_help(" ".join([name, *(f"name={study}" for study in [study] if study)]), config_name, arguments)
+            return Status.DONE
+        _run_app(module_name, config_name)
     except RefusedError as error:
         return _report(name, str(error), Status.REFUSED)
     except UserError as error:
@@ -80,11 +85,14 @@ def run_command(name: str, arguments: list[str]) -> Status:
     return Status.DONE
 
 
-def _run_app(module: ModuleType, config_name: str) -> None:
-    """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep."""
+def _run_app(module_name: str, config_name: str) -> None:
+    """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep.
+
+    The module, and with it what it computes with, is imported only when there is something to run.
+    """
     failures: list[Exception] = []
     app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
-    app(_task(module, failures))()
+    app(_task(module_name, failures))()
     if failures:
         raise failures[0]
 
@@ -128,12 +136,13 @@ def _keep_traceback(error: Exception) -> str:
     return "please report it with the traceback above"
 
 
-def _task(module: ModuleType, failures: list[Exception]) -> Callable[[DictConfig], Any]:
+def _task(module_name: str, failures: list[Exception]) -> Callable[[DictConfig], Any]:
     """Return what Hydra calls. A single run's failure is kept in `failures`: Hydra would print more than one line."""
 
     def task(config: DictConfig) -> Any:
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+            module = importlib.import_module(module_name)
             return module.run(module.Options.parse(content, "options"))
         except Exception as error:
             if HydraConfig.get().mode != RunMode.RUN:
@@ -158,20 +167,37 @@ def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str
         return text.splitlines()[0]
     if unknown := re.search(r"Could not override '([^']+)'", text):
         option = unknown.group(1)
-        return f"unknown option {option!r}: {near_miss(*_unknown_and_known(config_name, option, arguments))}"
+        config = _composed(config_name, arguments)
+        last = option.rpartition(".")[2]
+        paths = _paths(OmegaConf.to_container(config))
+        if elsewhere := [repr(path) for path in paths if path.rpartition(".")[2] == last]:
+            return f"unknown option {option!r}: did you mean {' or '.join(elsewhere[:3])}?"
+        return f"unknown option {option!r}: {near_miss(*_unknown_and_known(config, option))}"
     return " ".join(text.split())
 
 
-def _unknown_and_known(config_name: str, option: str, arguments: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the first part of a dotted `option` that does not exist, and the options there are in its place."""
+def _composed(config_name: str, arguments: Sequence[str]) -> DictConfig:
+    """Return a configuration with the choices of groups that arguments make."""
     shipped = {f"{file.parent.name}={file.stem}" for folder in config_folders() for file in folder.glob("*/*.yaml")}
     with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
         config = hydra.compose(config_name)
         choices = [choice for choice in arguments if choice in shipped and choice.partition("=")[0] in config]
-        config = hydra.compose(config_name, choices)
+        return hydra.compose(config_name, choices)
+
+
+def _paths(content: Any, prefix: str = "") -> Iterator[str]:
+    """Yield the dotted names of all options in a configuration's plain content."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            yield f"{prefix}{key!s}"
+            yield from _paths(value, f"{prefix}{key!s}.")
+
+
+def _unknown_and_known(config: DictConfig, option: str) -> tuple[str, list[str]]:
+    """Return the first part of a dotted `option` that does not exist, and the options there are in its place."""
     parent = option.rpartition(".")[0]
     if parent and OmegaConf.select(config, parent) is None:
-        return _unknown_and_known(config_name, parent, arguments)
+        return _unknown_and_known(config, parent)
     node = OmegaConf.select(config, parent) if parent else config
     prefix = f"{parent}." if parent else ""
     return option, [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []

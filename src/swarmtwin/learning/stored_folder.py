@@ -13,6 +13,7 @@ from torch import Tensor
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import whole_file, write_text
+from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.robot import StrictModel
 
 DescriptionT = TypeVar("DescriptionT", bound=StrictModel)
@@ -82,7 +83,7 @@ class StoredFolder(Generic[DescriptionT]):
 
     def _content(self, path: Path) -> Any:
         try:
-            content = yaml.safe_load(path.read_text())
+            content = read_yaml(path)
         except (FileNotFoundError, NotADirectoryError):
             missing = f"no {self.holds} in {path.parent}: {path.name} is missing"
             raise UserError(f"{missing}; name a folder that {self.made_by} made") from None

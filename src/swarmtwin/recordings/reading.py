@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from swarmtwin.errors import UserError
+from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.recording import Header, Recording, Track, fault
 from swarmtwin.recordings.tables import parse_run
@@ -83,7 +84,9 @@ def read_header(folder: Path) -> Header:
     if not file.exists():
         raise UserError(f"{file} is missing: a recording holds {HEADER_FILE} and {RUNS_FOLDER}/")
     try:
-        content = yaml.safe_load(_read_bytes(file))
+        content = read_yaml(file)
+    except OSError as error:
+        raise fault(file, f"it cannot be read ({error.strerror})", "check that it is there and may be read") from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         row = mark.line + 1 if mark else None

@@ -1,0 +1,78 @@
+"""`--help` and mistakes in options are answered at once, and every option of a command is explained."""
+
+import io
+import subprocess
+import sys
+
+import hydra
+import pytest
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from swarmtwin.commands.app import run_command
+from swarmtwin.commands.catalogue import COMMANDS
+from swarmtwin.commands.experiment import studies
+from swarmtwin.commands.option_help import ConfigFile, show_help
+from swarmtwin.configuration import config_files, config_folder
+
+NAMES = [*(name for name in COMMANDS if name != "experiment"), *(f"experiment/{study}" for study in studies())]
+HEAVY = {"torch", "lightning", "mlflow", "pandas", "scipy", "matplotlib"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_option_of_a_command_has_a_sentence(name):
+    config = ConfigFile.read(config_folder() / f"{name}.yaml")
+    assert config.summary
+    silent = [one.name for one in config.options if not one.sentence and one.name != "name"]
+    assert not [path for path in silent if not path.rpartition(".")[0]], silent
+
+
+@pytest.mark.parametrize("group", ["model", "recipe", "split", "policy", "generator", "robot", "task"])
+def test_every_field_of_a_choice_has_a_sentence(group):
+    for file in config_files(group).values():
+        fields = [one for one in ConfigFile.read(file).options if "." not in one.name and one.name != "name"]
+        assert not [one.name for one in fields if not one.sentence], file
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_names_all_that_hydra_composes(name):
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        config = OmegaConf.to_container(hydra.compose(name))
+    shown = io.StringIO()
+    show_help(name.replace("/", " name="), name, [], Console(file=shown, width=200, markup=False))
+    for key in config:
+        assert f"  {key}" in shown.getvalue(), key
+
+
+def test_help_shows_the_fields_of_what_is_chosen(capfd):
+    assert run_command("train", ["model=gru", "--help"]) == 0
+    shown = capfd.readouterr().out
+    assert "model=gru: " in shown
+    assert "model.hidden=" in shown
+    assert "model.dropout" not in shown
+
+
+def modules_after(*arguments):
+    """The heavy packages that a command has imported when it has answered, and its error."""
+    script = "import sys; from swarmtwin.commands.app import run_command\n"
+    script += f"run_command({arguments[0]!r}, {list(arguments[1:])!r})\n"
+    script += f"print('heavy:', sorted({HEAVY!r} & sys.modules.keys()))"
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return answer.stdout.splitlines()[-1], answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("train", "--help"), ""),
+        (("experiment", "name=transfer", "--help"), ""),
+        (("train", "robot=mrg"), "no such robot: 'mrg': did you mean 'mgr'?"),
+        (("train", "epochs=3"), "unknown option 'epochs': did you mean 'recipe.epochs'?"),
+        (("train", "model.epochs=3"), "unknown option 'model.epochs': did you mean 'recipe.epochs'?"),
+        (("learn", "sed=3"), "unknown option 'sed': did you mean 'seed'?"),
+    ],
+)
+def test_what_needs_no_computing_imports_nothing_that_computes(arguments, message):
+    heavy, error = modules_after(*arguments)
+    assert heavy == "heavy: []"
+    assert message in error
