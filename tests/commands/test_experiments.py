@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from swarmtwin.diagnosis.result import Cause, DiagnosisResult, Estimate, Gain, Gains
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 
 RECORDINGS = {"train_vehicle": "reference", "other_vehicle": "other_vehicle", "open_loop": "open_loop"}
 COMPARISON = ("experiment", "name=dynamics", "models=models", *(f"{name}={path}" for name, path in RECORDINGS.items()))

@@ -11,7 +11,7 @@ import yaml
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking import registry
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import load_preparation, load_transitions
 
 QUICK = ("generator.mean_model_steps=40", "generator.noise_steps=40", "generator.batch_size=64")

@@ -14,7 +14,7 @@ import yaml
 
 from swarmtwin.policies.policy_folder import load_policy
 from swarmtwin.tracking import registry
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
 TASK = ("task=obstacle", "task.steps=40", "task.reach_mm=300", "task.distance_mm=360", "task.radius_mm=[5,10]")

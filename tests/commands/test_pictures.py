@@ -9,7 +9,7 @@ import pytest
 from test_experiments import COMPARISON
 from test_learn import QUICK
 
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 from tiny_policies import save_seeker, simulation
 
 

@@ -11,7 +11,7 @@ from drives import drive, write_drive
 from swarmtwin.commands import prepare
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import SPLITS, from_recording, load_preparation, load_transitions
 
 SPLIT = {"fractions": {"train": 0.85, "validation": 0.05, "test": 0.10}, "seed": 1}

@@ -16,7 +16,7 @@ from swarmtwin.dynamics.training_module import EpochHistory
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking import registry
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import SPLITS, GeneratorOrigin, load_preparation, load_transitions
 from swarmtwin.transitions.preparation import save_preparation
 

@@ -9,7 +9,7 @@ import yaml
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
-from swarmtwin.tracking.runs import use_store
+from swarmtwin.tracking.store import use_store
 
 STUDY = ("study=mgr-kinematic",)
 SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", *STUDY)

@@ -1,12 +1,15 @@
+import multiprocessing
 import shutil
 
 import pytest
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import folder_digest
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import tracked_run
 
 NAME = "mgr-dynamics"
+FORK = multiprocessing.get_context("fork")
 
 
 @pytest.fixture
@@ -43,7 +46,7 @@ def test_a_version_is_found_by_its_content(publish, workplace):
 
 def test_champions_follow_each_other_and_roll_back_in_order(publish):
     for text in ("one", "two", "three"):
-        registry.promote(publish(text), reason="better")
+        registry.promote(publish(text), "better", registry.champion(NAME))
     assert registry.champion(NAME).number == 3
     assert registry.roll_back(NAME) == (3, 2)
     assert registry.roll_back(NAME) == (2, 1)
@@ -81,3 +84,71 @@ def test_without_any_model_the_remedy_is_to_train_one(workplace):
         registry.find_version("models:/mgr-dynamics@champion")
     with pytest.raises(UserError, match="has no champion to roll back from"):
         registry.roll_back(NAME)
+
+
+def test_files_that_were_changed_are_refused_with_both_digests(publish):
+    version = publish("one")
+    file = version.folder() / "model.yaml"
+    file.write_text("two")
+    with pytest.raises(UserError, match=r"version 1 in .* are not those that were registered: their digest is") as told:
+        registry.model_folder(f"models:/{NAME}/1")
+    assert version.tags["digest"] in str(told.value)
+    assert folder_digest(file.parent) in str(told.value)
+    file.write_text("one")
+    assert registry.model_folder(f"models:/{NAME}/1") == file.parent
+
+
+def test_a_champion_that_was_not_compared_with_is_not_replaced(publish):
+    first, second, third = publish("one"), publish("two"), publish("three")
+    registry.promote(first, "the first", None)
+    registry.promote(second, "better", first)
+    with pytest.raises(UserError, match="version 2 became champion meanwhile: promote mgr-dynamics version 3 again"):
+        registry.promote(third, "better than version 1", first)
+    assert registry.champion(NAME).number == 2
+
+
+def promote_until_it_is_champion(number):
+    """Be promoted against whoever is champion, again and again until that is still true."""
+    version = registry.find_version(f"models:/{NAME}/{number}")
+    while True:
+        try:
+            registry.promote(version, "better", registry.champion(NAME))
+            return
+        except UserError as error:
+            if "meanwhile" not in str(error):
+                raise
+
+
+def test_of_promotions_at_once_none_is_missing_in_the_history(publish):
+    numbers = [publish(str(index)).number for index in range(12)]
+    processes = [FORK.Process(target=promote_until_it_is_champion, args=(number,)) for number in numbers]
+    _at_once(processes)
+    passed = [registry.champion(NAME).number]
+    for _ in numbers[1:]:
+        passed.append(registry.roll_back(NAME)[1])
+    assert sorted(passed) == numbers
+    with pytest.raises(UserError, match="is the first champion"):
+        registry.roll_back(NAME)
+
+
+def train_nothing(number, workplace):
+    folder = workplace / f"model_{number}"
+    folder.mkdir()
+    (folder / "model.yaml").write_text(str(number))
+    with tracked_run("dynamics", str(number), {"output": str(number)}) as run:
+        run.metrics({"position_mm": number})
+        source = run.folder(folder, "model")
+    registry.register(NAME, folder, source, run.run_id, {})
+
+
+def test_writers_on_a_new_database_all_succeed(workplace):
+    _at_once([FORK.Process(target=train_nothing, args=(number, workplace)) for number in range(16)])
+    assert sorted(version.number for version in registry.versions(NAME)) == list(range(1, 17))
+
+
+def _at_once(processes):
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(timeout=120)
+    assert [process.exitcode for process in processes] == [0] * len(processes)

@@ -1,6 +1,8 @@
 import errno
+import os
 import subprocess
 import sys
+import time
 
 import mlflow
 import pytest
@@ -92,3 +94,35 @@ def test_inputs_are_known_by_their_dvc_hash(workplace):
     with tracked_run("dynamics", "x", {}, inputs=[workplace / "data"]) as run:
         pass
     assert mlflow.get_run(run.run_id).data.tags[f"dvc.{workplace / 'data'}"] == "abc.dir"
+
+
+def test_a_server_that_is_away_is_told_within_seconds(workplace, monkeypatch):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
+    started = time.monotonic()
+    away = r"http://127.0.0.1:9 cannot be used .*: start its server"
+    with pytest.raises(UserError, match=away), tracked_run("dynamics", "x", {}):
+        pass
+    assert time.monotonic() - started < 10
+
+
+def test_a_database_that_cannot_be_written_is_told_at_once(workplace, monkeypatch):
+    with tracked_run("dynamics", "x", {}):
+        pass
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(UserError, match="its file cannot be written"), tracked_run("dynamics", "y", {}):
+        pass
+
+
+def test_a_run_whose_process_was_killed_is_closed_by_the_next_for_the_same_output(workplace):
+    script = "import os; from swarmtwin.tracking.runs import tracked_run\n"
+    script += "with tracked_run('dynamics', 'killed', {'output': 'out'}): os.kill(os.getpid(), 9)"
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
+
+    def statuses():
+        found = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+        return {run.info.run_name: run.info.status for run in found}
+
+    with tracked_run("dynamics", "other", {"output": "elsewhere"}):
+        assert statuses() == {"killed": "RUNNING", "other": "RUNNING"}
+    with tracked_run("dynamics", "again", {"output": "out"}):
+        assert statuses() == {"killed": "KILLED", "other": "FINISHED", "again": "RUNNING"}

@@ -80,7 +80,7 @@ def promote(kind: ModelKind, candidate: str, robot: Robot, recording: Path, poli
     if not verdict.passed:
         stays = f"; {champion} stays champion" if champion else ""
         raise RefusedError(f"{version} is not promoted: {reason}{stays}")
-    registry.promote(version, reason)
+    registry.promote(version, reason, champion)
     return f"{version} is champion: {reason}"
 
 

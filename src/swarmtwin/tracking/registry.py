@@ -10,7 +10,7 @@ from mlflow.exceptions import MlflowException
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
-from swarmtwin.tracking.runs import store_errors, use_store
+from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
 CHALLENGER, CHAMPION = "challenger", "champion"
 FORMER_CHAMPIONS = "former_champions"
@@ -34,12 +34,12 @@ class Version:
         """Return a local folder with the model's files, fetched where the store is elsewhere.
 
         Raises:
-            UserError: the files are gone, or the store cannot be used.
+            UserError: the files are gone or changed since they were registered, or the store cannot be used.
         """
         with store_errors():
             use_store()
             try:
-                return Path(mlflow.artifacts.download_artifacts(self.source))
+                folder = Path(mlflow.artifacts.download_artifacts(self.source))
             except (MlflowException, OSError) as error:
                 if Path(self.source.removeprefix("file://")).is_dir() or "://" in self.source.removeprefix("file://"):
                     raise
@@ -47,6 +47,13 @@ class Version:
                     f"the files of {self} are not where the registry says, {self.source}: bring them back, or register "
                     "the model's folder anew"
                 ) from error
+        stated, found = self.tags.get("digest"), folder_digest(folder)
+        if stated and stated != found:
+            raise UserError(
+                f"the files of {self} in {folder} are not those that were registered: their digest is {found}, the "
+                f"registry says {stated}; bring the old ones back, or register the model's folder anew"
+            )
+        return folder
 
 
 def register(name: str, folder: Path, source: str, run_id: str | None, tags: Mapping[str, str]) -> Version:
@@ -63,8 +70,9 @@ def register(name: str, folder: Path, source: str, run_id: str | None, tags: Map
     with store_errors():
         use_store()
         client = mlflow.MlflowClient()
-        if name not in _names(client):
-            client.create_registered_model(name)
+        with store_lock():
+            if name not in _names(client):
+                client.create_registered_model(name)
         number = client.create_model_version(name, source, run_id, tags=tags).version
         client.set_registered_model_alias(name, CHALLENGER, number)
     return Version(name, int(number), (CHALLENGER,), source, tags)
@@ -130,10 +138,21 @@ def model_folder(reference: str) -> Path:
     return Path(reference)
 
 
-def promote(version: Version, reason: str) -> None:
-    """Make a version the champion, remembering the former one."""
-    former = champion(version.name)
-    with store_errors():
+def promote(version: Version, reason: str, against: Version | None) -> None:
+    """Make a version the champion, remembering the former one.
+
+    Args:
+        version: what becomes champion.
+        reason: why, in words.
+        against: the champion that it was compared with; None where there was none.
+
+    Raises:
+        UserError: another version became champion meanwhile.
+    """
+    with store_errors(), store_lock():
+        former = champion(version.name)
+        if (former and former.number) != (against and against.number):
+            raise UserError(f"{former} became champion meanwhile: promote {version} again, to be compared with that")
         client = mlflow.MlflowClient()
         if former:
             _remember(client, version.name, [*_former_champions(client, version.name), str(former.number)])
@@ -147,10 +166,10 @@ def roll_back(name: str) -> tuple[int, int]:
     Raises:
         UserError: there is no champion, or none before it.
     """
-    demoted = champion(name)
-    if demoted is None:
-        raise UserError(f"{name} has no champion to roll back from; there are {_describe(versions(name))}")
-    with store_errors():
+    with store_errors(), store_lock():
+        demoted = champion(name)
+        if demoted is None:
+            raise UserError(f"{name} has no champion to roll back from; there are {_describe(versions(name))}")
         client = mlflow.MlflowClient()
         former = _former_champions(client, name)
         if not former:

@@ -1,9 +1,9 @@
 """Every run in MLflow: its configuration, the code's commit, its inputs' DVC hashes, its seed, metrics and plots."""
 
 import atexit
-import errno
 import logging
 import os
+import socket
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -11,41 +11,19 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
-os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
-
 import mlflow
 import yaml
 from hydra.experimental.callback import Callback
 from matplotlib.figure import Figure
 from mlflow.entities import Metric
-from mlflow.exceptions import MlflowException
 from omegaconf import DictConfig
-from sqlalchemy.exc import SQLAlchemyError
 
-from swarmtwin.errors import UserError
+from swarmtwin.tracking.store import check_writable, store_errors, store_lock, use_store
 
 logger = logging.getLogger(__name__)
 
 Experiment = Literal["dynamics", "generator", "diagnosis", "policy", "transfer", "deployment"]
 PARENT_RUN = "SWARMTWIN_PARENT_RUN"
-
-
-@contextmanager
-def store_errors() -> Iterator[None]:
-    """Turn a failure of the tracking store into one clear message; also a decorator.
-
-    A full disk is none of the store's faults, and passes.
-    """
-    try:
-        yield
-    except (MlflowException, SQLAlchemyError, OSError) as error:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        uri, reason = store_uri(), str(error).strip().splitlines()[0]
-        check = "start its server" if uri.startswith("http") else "see that its folder is there and can be written"
-        remedy = f"{check}, or set MLFLOW_TRACKING_URI to another"
-        raise UserError(f"the MLflow store {uri} cannot be used ({reason}): {remedy}") from error
 
 
 class TrackedRun:
@@ -89,17 +67,6 @@ class TrackedRun:
         return mlflow.get_artifact_uri(name)
 
 
-def use_store() -> None:
-    """Point MLflow at its store, and let it speak up only when something is wrong."""
-    logging.getLogger("mlflow").setLevel(logging.WARNING)
-    mlflow.set_tracking_uri(store_uri())
-
-
-def store_uri() -> str:
-    """Return where MLflow keeps runs and models: `MLFLOW_TRACKING_URI`, or else `mlflow.db` in this folder."""
-    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
-
-
 @contextmanager
 def tracked_run(
     experiment: Experiment, name: str, config: Mapping[str, Any], inputs: Sequence[Path] = (), seed: int | None = None
@@ -110,9 +77,13 @@ def tracked_run(
         UserError: the tracking store cannot be used.
     """
     tags = _tags(inputs, seed)
+    output = str(config["output"]) if config.get("output") else None
     with store_errors():
         use_store()
-        mlflow.set_experiment(experiment)
+        check_writable()
+        with store_lock():
+            mlflow.set_experiment(experiment)
+        _close_orphans(experiment, output)
         run = mlflow.start_run(run_name=name, tags=tags, parent_run_id=os.environ.get(PARENT_RUN))
     try:
         with store_errors():
@@ -126,6 +97,28 @@ def tracked_run(
     mlflow.end_run()
 
 
+def _close_orphans(experiment: Experiment, output: str | None) -> None:
+    """Close as killed the runs for this output whose processes, on this machine, are no more."""
+    condition = _output_is(output) if output else None
+    if condition is None:
+        return
+    found = mlflow.search_runs(
+        experiment_names=[experiment],
+        filter_string=f"{condition} and attributes.status = 'RUNNING'",
+        output_format="list",
+    )
+    for run in found:
+        host, _, process = run.data.tags.get("process", "").partition(" ")
+        if host == socket.gethostname() and not Path(f"/proc/{process}").exists():
+            mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
+
+
+def _output_is(output: Path | str) -> str | None:
+    """Return the condition of MLflow's that finds runs by their output; None for a name that it cannot say."""
+    quote = '"' if "'" in str(output) else "'"
+    return None if quote in str(output) else f"params.output = {quote}{output}{quote}"
+
+
 @store_errors()
 def keep_with_run(output: Path, pictures: Path) -> None:
     """Keep a folder of pictures with the latest run that finished and left `output`, if there is one that can be found.
@@ -133,14 +126,14 @@ def keep_with_run(output: Path, pictures: Path) -> None:
     Raises:
         UserError: the tracking store cannot be used.
     """
-    quote = '"' if "'" in str(output) else "'"
-    if quote in str(output):  # a name that MLflow's filters cannot say
+    condition = _output_is(output)
+    if condition is None:
         return
     with store_errors():
         use_store()
         found = mlflow.search_runs(
             search_all_experiments=True,
-            filter_string=f"params.output = {quote}{output}{quote} and attributes.status = 'FINISHED'",
+            filter_string=f"{condition} and attributes.status = 'FINISHED'",
             order_by=["attributes.start_time DESC"],
             max_results=1,
             output_format="list",
@@ -154,7 +147,9 @@ def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study
     tags = _tags((), None)
     with store_errors():
         use_store()
-        mlflow.set_experiment(experiment)
+        check_writable()
+        with store_lock():
+            mlflow.set_experiment(experiment)
         client = mlflow.MlflowClient()
         found = client.get_experiment_by_name(experiment)
         assert found is not None
@@ -210,7 +205,7 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, st
 
 
 def _tags(inputs: Sequence[Path], seed: int | None) -> dict[str, str]:
-    tags = {}
+    tags = {"process": f"{socket.gethostname()} {os.getpid()}"}
     if seed is not None:
         tags["seed"] = str(seed)
     if commit := _git("rev-parse", "HEAD"):

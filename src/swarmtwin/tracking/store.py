@@ -1,0 +1,100 @@
+"""The MLflow store: where it is, whether it can be used, and one process at a time where that matters."""
+
+import errno
+import fcntl
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
+os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "2")  # seven take four minutes
+
+import mlflow
+import requests
+from mlflow.exceptions import MlflowException
+from sqlalchemy.exc import SQLAlchemyError
+
+from swarmtwin.errors import UserError
+
+
+@contextmanager
+def store_errors() -> Iterator[None]:
+    """Turn a failure of the tracking store into one clear message; also a decorator.
+
+    A full disk is none of the store's faults, and passes.
+    """
+    try:
+        yield
+    except (MlflowException, SQLAlchemyError, requests.RequestException, OSError) as error:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        uri, reason = store_uri(), str(error).strip().splitlines()[0]
+        check = "start its server" if uri.startswith("http") else "see that its folder is there and can be written"
+        remedy = f"{check}, or set MLFLOW_TRACKING_URI to another"
+        raise UserError(f"the MLflow store {uri} cannot be used ({reason}): {remedy}") from error
+
+
+def store_uri() -> str:
+    """Return where MLflow keeps runs and models: `MLFLOW_TRACKING_URI`, or else `mlflow.db` in this folder."""
+    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
+
+
+def use_store() -> None:
+    """Point MLflow at its store, and let it speak up only when something is wrong.
+
+    Raises:
+        UserError: the store cannot be used: its server does not answer within seconds, its folder is not there.
+    """
+    logging.getLogger("mlflow").setLevel(logging.WARNING)
+    uri = store_uri()
+    with store_errors():
+        mlflow.set_tracking_uri(uri)
+        _open_store(uri)
+
+
+@cache
+def _open_store(uri: str) -> None:
+    """See once a process that the store answers; a new database is made by one process, while others wait."""
+    if uri.startswith("http"):
+        requests.get(f"{uri.rstrip('/')}/health", timeout=5)  # any answer will do
+        return
+    with store_lock():
+        mlflow.MlflowClient().search_experiments(max_results=1)
+
+
+def check_writable() -> None:
+    """Check that the database file of the store, if it is one, can be written: MLflow would try for minutes.
+
+    Raises:
+        UserError: it cannot.
+    """
+    database = _database()
+    if database and database.exists() and not os.access(database, os.W_OK):
+        with store_errors():
+            raise PermissionError(errno.EACCES, "its file cannot be written", str(database))
+
+
+@contextmanager
+def store_lock() -> Iterator[None]:
+    """Let one process at a time do what takes several steps, where the store is a database file; else do not wait."""
+    database = _database()
+    if database is None:
+        yield
+        return
+    try:
+        handle = database.with_name(f".{database.name}.lock.partial").open("w")
+    except OSError:  # a folder that cannot be written: whoever reads needs no lock
+        yield
+        return
+    with handle:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
+def _database() -> Path | None:
+    uri = store_uri()
+    return Path(uri.removeprefix("sqlite:///")) if uri.startswith("sqlite:///") else None
