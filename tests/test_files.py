@@ -1,10 +1,13 @@
+import contextlib
 import json
 import multiprocessing
+import os
+import queue
 
 import pytest
 
 from swarmtwin.errors import UserError
-from swarmtwin.files import new_folder, write_text
+from swarmtwin.files import new_folder, whole_file, write_text
 
 
 def fill(path, text="new", **options):
@@ -129,3 +132,38 @@ def test_a_text_is_replaced_whole(tmp_path):
     write_text(tmp_path / "table.csv", "a")
     write_text(tmp_path / "table.csv", "b")
     assert [path.read_text() for path in tmp_path.iterdir()] == ["b"]
+
+
+def test_files_can_be_read_by_those_whom_the_umask_lets(tmp_path):
+    before = os.umask(0o027)
+    try:
+        with whole_file(tmp_path / "weights") as aside:
+            os.close(os.open(aside, os.O_CREAT | os.O_WRONLY, 0o600))
+    finally:
+        os.umask(before)
+    assert (tmp_path / "weights").stat().st_mode & 0o777 == 0o640
+
+
+def take(folder, number, done):
+    for _ in range(40):
+        with contextlib.suppress(UserError), new_folder(folder, "test", overwrite=True) as inside:
+            (inside / "mine").write_text(str(number))
+            assert [file.name for file in inside.iterdir() if file.name != "provenance.json"] == ["mine"]
+            done.put(number)
+
+
+def test_an_output_never_has_two_writers(tmp_path):
+    """A lock that is removed while another process opens it is not taken for one's own."""
+    fork = multiprocessing.get_context("fork")
+    done = fork.Queue()
+    processes = [fork.Process(target=take, args=(tmp_path / "out", number, done)) for number in range(6)]
+    for process in processes:
+        process.start()
+    written = 0
+    while any(process.is_alive() for process in processes) or not done.empty():
+        with contextlib.suppress(queue.Empty):
+            done.get(timeout=0.1)
+            written += 1
+    assert [process.exitcode for process in processes] == [0] * 6
+    assert written >= 6
+    assert not list(tmp_path.glob(".*"))

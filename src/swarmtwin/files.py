@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Iterator, Sequence
 from itertools import count
@@ -64,12 +65,20 @@ def write_text(path: Path, text: str) -> None:
         aside.write_text(text)
 
 
+def _umask() -> int:
+    """Return which permissions new files do not get; there is no way to ask but to set it."""
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
+
+
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a path beside `path` to write to; it replaces `path` when the block ends without an exception."""
     aside = path.with_name(f".{path.name}.partial")
     try:
         yield aside
+        aside.chmod(0o666 & ~_umask())  # safetensors writes files that nobody else can read
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
@@ -137,15 +146,27 @@ def _made_by(folder: Path) -> str | None:
 @contextlib.contextmanager
 def _lock(path: Path) -> Iterator[None]:
     lock_file = path.with_name(f".{path.name}.lock.partial")
-    with lock_file.open("w") as handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UserError(f"another process is writing {path}: wait for it, or choose another output") from None
-        try:
-            yield
-        finally:
-            lock_file.unlink(missing_ok=True)
+    while True:
+        with lock_file.open("w") as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UserError(f"another process is writing {path}: wait for it, or choose another output") from None
+            if not _is_still(lock_file, handle.fileno()):  # its holder removed it just before it was ours
+                continue
+            try:
+                yield
+            finally:
+                lock_file.unlink(missing_ok=True)
+            return
+
+
+def _is_still(path: Path, descriptor: int) -> bool:
+    """Return whether a path leads to the file that is open."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
 
 
 def _former(path: Path) -> Path:

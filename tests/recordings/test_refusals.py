@@ -54,6 +54,14 @@ def test_header_is_no_mapping(mgr, folder):
     )
 
 
+@pytest.mark.parametrize(("sign", "name"), [(";", "semicolons"), ("\t", "tabs")])
+def test_columns_separated_by_something_else(mgr, folder, sign, name):
+    file = folder / "runs" / "run_00000.csv"
+    file.write_text(file.read_text().replace(",", sign))
+    said = f"columns are separated by {name}: save it again with commas, and points in numbers"
+    assert refusal(folder, mgr) == f"{file}, row 1: {said}"
+
+
 def test_header_with_an_unknown_field(mgr, folder):
     file = edit_header(folder, vehicle=["1"])
     assert refusal(folder, mgr) == (

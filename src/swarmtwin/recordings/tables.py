@@ -140,7 +140,11 @@ def _csv_header(file: Path, content: bytes, complete: bytes) -> list[str]:
     if header is None:
         what = "the file breaks off in its header" if content.strip() else "the file is empty"
         raise fault(file, what, "record the run again, or remove the file")
-    return next(csv.reader([header.decode("utf-8-sig")]))
+    text = header.decode("utf-8-sig")
+    found = next(csv.reader([text]))
+    if len(found) == 1 and (signs := [name for sign, name in ((";", "semicolons"), ("\t", "tabs")) if sign in text]):
+        raise fault(file, f"columns are separated by {signs[0]}", "save it again with commas, and points in numbers", 1)
+    return found
 
 
 def _read_csv(file: Path, complete: bytes, found: list[str], robot: Robot) -> pa.Table:
