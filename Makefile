@@ -44,6 +44,9 @@ pipeline@%:
 	    | tee .$*.partial | sed -u "s/^/$*: /"; status=$$?; \
 	  grep -q "Unable to acquire lock" .$*.partial || break; sleep 15; done; rm -f .$*.partial; exit $$status'
 
+queue: setup  # experiments queued by `dvc exp run --queue`, JOBS at a time; DVC's workers look for it on the path
+	PATH="$(CURDIR)/$(BIN):$$PATH" dvc queue start --jobs $(or $(JOBS),1)
+
 test: setup
 	$(BIN)/dvc pull --quiet data
 	$(BIN)/pytest -n 2 --dist worksteal -m "not benchmark_figures" tests

@@ -10,7 +10,13 @@ from swarmtwin.plugins import plugin_folders
 
 
 def config_folder() -> Path:
-    """Return `conf/`: inside the installed package, or at the top of the repository it is developed in."""
+    """Return `conf/`: that of the pipeline in the working folder, else the package's, or that of its repository.
+
+    DVC runs queued experiments in copies of the repository, whose `conf/` holds their parameters.
+    """
+    here = Path.cwd()
+    if (here / "dvc.yaml").is_file() and (here / "conf" / "pipeline.yaml").is_file():
+        return here / "conf"
     package = Path(__file__).resolve().parent
     installed = package / "conf"
     return installed if installed.is_dir() else package.parents[1] / "conf"

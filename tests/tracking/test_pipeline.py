@@ -7,9 +7,11 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import hydra
+import mlflow
 import pandas as pd
 import pytest
 import yaml
@@ -216,6 +218,7 @@ def repository(tmp_path_factory):
             assert run_command("record", [*options, output]) == 0
     call(folder, "git", "init", "--quiet")
     dvc(folder, "init", "--quiet")
+    (folder / ".gitignore").write_text("/.venv/\n/mlflow.db*\n/mlruns/\n*.partial\n__pycache__/\n")
     dvc(folder, "repro", "--quiet", *DRAWN)
     return folder
 
@@ -228,6 +231,7 @@ def change(file, **values):
 def call(folder, *command):
     environment = {**os.environ, "DVC_NO_ANALYTICS": "true", "GIT_CONFIG_GLOBAL": os.devnull}
     environment.pop("MLFLOW_TRACKING_URI", None)
+    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"  # DVC's workers call it
     answer = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stdout + answer.stderr
     return answer.stdout
@@ -289,6 +293,35 @@ def test_a_line_in_a_model_a_training_or_the_geometry_makes_stale_what_it_shapes
         "synthetic_dynamics@mgr",
     }
     assert stale(repository, "comparison@mgr") >= leading_there
+
+
+def test_queued_experiments_compute_with_their_own_parameters(repository):
+    """Each in a copy of the repository, two at a time; what they track is in the one MLflow store."""
+    name, steps = "dynamics@mgr-mlp", (25, 35, 45)
+    identity = ("-c", "user.name=x", "-c", "user.email=x@y")
+    call(repository, "git", *identity, "add", "--all")
+    call(repository, "git", *identity, "commit", "--quiet", "--message", "baseline")
+    for count in steps:
+        dvc(
+            repository, "exp", "run", "--queue", "--name", f"s{count}", "-S", f"conf/model/mlp.yaml:steps={count}", name
+        )
+    dvc(repository, "queue", "start", "--jobs", "2")
+    deadline = time.monotonic() + 240
+    while "Running" in (status := dvc(repository, "queue", "status")) or "Queued" in status:
+        assert time.monotonic() < deadline, status
+        time.sleep(2)
+    assert status.count("Success") == len(steps), status
+    for count in steps:
+        dvc(repository, "exp", "apply", f"s{count}")
+        described = yaml.safe_load((repository / "artifacts" / "dynamics" / "mgr" / "mlp" / "model.yaml").read_text())
+        assert described["model"]["steps"] == count
+    store = f"sqlite:///{repository / 'mlflow.db'}"
+    client = mlflow.MlflowClient(store)
+    experiment = client.get_experiment_by_name("dynamics")
+    runs = client.search_runs([experiment.experiment_id], filter_string="params.`model.name` = 'mlp'")
+    assert set(map(str, steps)) <= {run.data.params["model.steps"] for run in runs}
+    for run in runs:
+        assert (repository / "mlruns" / "dynamics" / run.info.run_id / "artifacts" / "model" / "model.yaml").exists()
 
 
 def add_line(file):

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from mlflow.entities import Metric
 from omegaconf import DictConfig
 
-from swarmtwin.tracking.store import check_writable, store_errors, store_lock, use_store
+from swarmtwin.tracking.store import store_errors, use_experiment, use_store
 
 logger = logging.getLogger(__name__)
 
@@ -79,10 +79,7 @@ def tracked_run(
     tags = _tags(inputs, seed)
     output = str(config["output"]) if config.get("output") else None
     with store_errors():
-        use_store()
-        check_writable()
-        with store_lock():
-            mlflow.set_experiment(experiment)
+        use_experiment(experiment)
         _close_orphans(experiment, output)
         run = mlflow.start_run(run_name=name, tags=tags, parent_run_id=os.environ.get(PARENT_RUN))
     try:
@@ -146,10 +143,7 @@ def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study
     """Open a run that groups those started until it is closed, also in other processes; return its id."""
     tags = _tags((), None)
     with store_errors():
-        use_store()
-        check_writable()
-        with store_lock():
-            mlflow.set_experiment(experiment)
+        use_experiment(experiment)
         client = mlflow.MlflowClient()
         found = client.get_experiment_by_name(experiment)
         assert found is not None

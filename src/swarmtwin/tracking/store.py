@@ -39,8 +39,12 @@ def store_errors() -> Iterator[None]:
 
 
 def store_uri() -> str:
-    """Return where MLflow keeps runs and models: `MLFLOW_TRACKING_URI`, or else `mlflow.db` in this folder."""
-    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
+    """Return where MLflow keeps runs and models: `MLFLOW_TRACKING_URI`, or else `mlflow.db` in this folder.
+
+    For an experiment that DVC runs in a copy of the repository, it is that of the repository itself.
+    """
+    folder = Path(os.environ.get("DVC_ROOT") or Path.cwd())
+    return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{folder / 'mlflow.db'}"
 
 
 def use_store() -> None:
@@ -64,6 +68,22 @@ def _open_store(uri: str) -> None:
         return
     with store_lock():
         mlflow.MlflowClient().search_experiments(max_results=1)
+
+
+def use_experiment(name: str) -> None:
+    """Let runs belong to an experiment of MLflow's, made if need be; beside a database file, files lie in `mlruns/`.
+
+    Raises:
+        UserError: the store cannot be used.
+    """
+    with store_errors():
+        use_store()
+        check_writable()
+        with store_lock():
+            database = _database()
+            if database and mlflow.get_experiment_by_name(name) is None:
+                mlflow.create_experiment(name, (database.parent / "mlruns" / name).as_uri())
+            mlflow.set_experiment(name)
 
 
 def check_writable() -> None:
