@@ -8,7 +8,18 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "swarmtwin"
 
-GROUND = {"configuration", "errors", "files", "geometry", "kinematics", "plotting", "plugins", "robot", "strict_model"}
+GROUND = {
+    "configuration",
+    "errors",
+    "files",
+    "geometry",
+    "kinematics",
+    "plain_yaml",
+    "plotting",
+    "plugins",
+    "robot",
+    "strict_model",
+}
 ORDER = ("recordings", "transitions", "learning", "dynamics", "simulation")
 MAY_IMPORT = {
     "configuration": {"plugins"},
@@ -18,7 +29,8 @@ MAY_IMPORT = {
     "kinematics": {"plugins", "strict_model"},
     "plotting": set(),
     "plugins": {"errors"},
-    "robot": {"errors", "kinematics", "plugins", "strict_model"},
+    "plain_yaml": {"errors"},
+    "robot": {"errors", "kinematics", "plain_yaml", "plugins", "strict_model"},
     "strict_model": {"errors"},
     "recordings": GROUND,
     "transitions": GROUND | {"recordings"},
