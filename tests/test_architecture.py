@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "kinematics": {"plugins", "strict_model"},
     "plotting": set(),
     "plugins": {"errors"},
-    "plain_yaml": {"errors"},
+    "plain_yaml": {"errors", "files"},
     "robot": {"errors", "kinematics", "plain_yaml", "plugins", "strict_model"},
     "strict_model": {"errors"},
     "recordings": GROUND,

@@ -84,6 +84,16 @@ def whole_file(path: Path) -> Iterator[Path]:
         aside.unlink(missing_ok=True)
 
 
+def check_regular(path: Path) -> None:
+    """Check that what lies at a path, if anything does, is a file or a folder: a pipe or a device is read for ever.
+
+    Raises:
+        UserError: it is something else.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise UserError(f"{path} is no regular file: put a copy of the file's content there")
+
+
 def folder_digest(folder: Path) -> str:
     """Return a digest of what makes a model folder that model: its weights and its description."""
     content = hashlib.sha256()
@@ -130,6 +140,7 @@ def read_provenance(folder: Path) -> tuple[str, dict[str, Any]]:
     Raises:
         UserError: the folder is not there, or was not made by swarmtwin.
     """
+    check_regular(folder / PROVENANCE)
     try:
         content = json.loads((folder / PROVENANCE).read_text())
         return str(content["command"]), dict(content["config"])

@@ -1,6 +1,6 @@
 """YAML files as plain data: bounded in size, in depth and in what aliases expand to; nothing in them is code."""
 
-import stat
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import yaml
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import check_regular
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,30 @@ class Bounds:
     nodes: int = 1_000_000
 
 
+class _UniqueKeys(yaml.SafeLoader):
+    """Plain data in which no key stands twice: the last one would hold, and nobody would know."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise yaml.MarkedYAMLError(problem=f"{twice[0]!r} stands twice", problem_mark=node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path, bounds: Bounds | None = None) -> Any:
     """Return the content of a YAML file.
 
     Raises:
         UserError: it is no regular file, or beyond the bounds.
-        OSError, yaml.YAMLError: it is not there or cannot be read; it is no YAML.
+        OSError, yaml.YAMLError: it is not there or cannot be read; it is no YAML, or a key stands twice.
     """
     bounds = bounds or Bounds()
-    about = path.stat()
-    if not stat.S_ISREG(about.st_mode) and not stat.S_ISDIR(about.st_mode):
-        raise UserError(f"{path} is no regular file: put a copy of the file's content there")
-    if about.st_size > bounds.size:
-        raise UserError(f"{path} holds {about.st_size} bytes, more than {bounds.size}: is it the right file?")
+    check_regular(path)
+    if (size := path.stat().st_size) > bounds.size:
+        raise UserError(f"{path} holds {size} bytes, more than {bounds.size}: is it the right file?")
     content = path.read_bytes()
     _check_bounds(content, path, bounds)
-    return yaml.safe_load(content)
+    return yaml.load(content, _UniqueKeys)
 
 
 def _check_bounds(content: bytes, path: Path, bounds: Bounds) -> None:

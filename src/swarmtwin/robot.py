@@ -136,7 +136,7 @@ class Robot(StrictModel):
             known = [file.stem for file in path.parent.glob("*.yaml")]
             raise UserError(f"no robot file {path}: {near_miss(path.stem, known)}") from None
         except yaml.YAMLError as error:
-            raise UserError(f"{path} is not valid YAML: {error}") from None
+            raise UserError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
         return cls.parse(content, str(path))
 
     def kinematic_equations(self) -> KinematicEquations:

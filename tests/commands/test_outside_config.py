@@ -40,13 +40,15 @@ def own(workplace):
     [
         (f"# @package _global_\n{CALLBACK}{ROBOT}", "'# @package' moves it to another place"),
         (ROBOT + CALLBACK, "'hydra' would choose code or settings of Hydra's"),
-        (ROBOT + "actuators: {_target_: os.system}\n", "'_target_' would choose code"),
+        (ROBOT + "note: {_target_: os.system}\n", "'_target_' would choose code"),
         ("defaults:\n  - override /hydra/launcher: joblib\n" + ROBOT, "would choose settings of Hydra's: take it out"),
         (ROBOT + "note: ${oc.env:HOME}\n", "'${oc.env:HOME}' refers to what is not in the file: write the value out"),
         (ROBOT + "note: " + "[" * 3000 + "\n", "more than 50 lists or mappings in each other"),
         (ROBOT + "note: [unclosed\n", "is not valid YAML"),
+        (ROBOT + "defaults: mgr\n", "'defaults' is no list"),
+        (ROBOT + "period_s: 0.4\n", "is not valid YAML ('period_s' stands twice"),
     ],
-    ids=["package", "hydra", "target", "defaults", "interpolation", "depth", "damage"],
+    ids=["package", "hydra", "target", "defaults", "interpolation", "depth", "damage", "no list", "twice"],
 )
 def test_a_robot_from_outside_chooses_nothing_but_a_robot(own, workplace, capfd, text, message):
     own.write_text(text)

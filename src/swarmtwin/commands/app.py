@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException
 from hydra.types import RunMode
@@ -74,6 +75,8 @@ def run_command(name: str, arguments: list[str]) -> Status:
         return _report(name, str(error), Status.MISTAKE)
     except (HydraException, OmegaConfBaseException) as error:
         return _report(name, explain(error, config_name, arguments), Status.MISTAKE)
+    except yaml.YAMLError as error:
+        return _report(name, f"a configuration is not valid YAML: {' '.join(str(error).split())}", Status.MISTAKE)
     except MemoryError:
         return _report(name, "out of memory: ask for less at a time", Status.MISTAKE)
     except KeyboardInterrupt:

@@ -45,6 +45,8 @@ def _check(file: Path) -> None:
         raise UserError(f"{file} is not valid YAML ({' '.join(str(error).split())}): correct it") from None
     if re.search(r"^\s*#\s*@package", text, re.MULTILINE):
         raise UserError(f"{file}: '# @package' moves it to another place in the configuration: take the line out")
+    if isinstance(content, dict) and not isinstance(content.get("defaults", []), list):
+        raise UserError(f"{file}: 'defaults' is no list: take it out, or write one")
     for key, value in _walk(content):
         if str(key).startswith("_") or "hydra" in str(key):
             raise UserError(f"{file}: {key!r} would choose code or settings of Hydra's: take it out")

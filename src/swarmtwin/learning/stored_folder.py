@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from swarmtwin.errors import UserError
-from swarmtwin.files import whole_file, write_text
+from swarmtwin.files import check_regular, whole_file, write_text
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.robot import StrictModel
 
@@ -100,6 +100,7 @@ class StoredFolder(Generic[DescriptionT]):
     def _weights(self, path: Path) -> dict[str, Tensor]:
         if path.is_dir():
             raise self._folder_in_place_of_file(path)
+        check_regular(path)
         try:
             weights: dict[str, Tensor] = load_file(path)
         except FileNotFoundError:

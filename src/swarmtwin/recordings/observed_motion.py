@@ -109,7 +109,9 @@ class ObservedMotion:
         actuators = self.robot.actuation
         if actuators.kind == "wheel":
             wheels = self._effort(actuators.effort or self.robot.command_columns[1:2])
-            return (wheels[:, 1] - wheels[:, 0]) / 2 if actuators.effort else wheels[:, 0]
+            if wheels.shape[1] == 2:
+                return (wheels[:, 1] - wheels[:, 0]) / 2
+            return wheels[:, 0] if wheels.shape[1] == 1 and not actuators.effort else None
         return self._effort([actuators.steering])[:, 0] if actuators.steering else None
 
     def _effort(self, columns: Sequence[str]) -> np.ndarray:

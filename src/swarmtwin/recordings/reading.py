@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.recording import Header, Recording, Track, fault
@@ -134,6 +135,7 @@ def _is_run(entry: Path) -> bool:
 
 
 def _read_bytes(file: Path) -> bytes:
+    check_regular(file)
     try:
         return file.read_bytes()
     except OSError as error:

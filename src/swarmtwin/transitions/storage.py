@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 
+from swarmtwin.files import check_regular
 from swarmtwin.recordings.recording import fault
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot
 from swarmtwin.transitions.transitions import SPLITS, Transitions
@@ -57,6 +58,7 @@ def read_transitions(file: Path, remedy: str) -> Transitions:
     Raises:
         UserError: the file is missing or damaged; `remedy` is what to do about it.
     """
+    check_regular(file)
     try:
         table = pa.parquet.read_table(file)
         metadata = {name.decode(): value for name, value in (table.schema.metadata or {}).items()}
