@@ -47,6 +47,9 @@ pipeline@%:
 queue: setup  # experiments queued by `dvc exp run --queue`, JOBS at a time; DVC's workers look for it on the path
 	PATH="$(CURDIR)/$(BIN):$$PATH" dvc queue start --jobs $(or $(JOBS),1)
 
+fuzz: setup  # damaged files by the thousand; goes on where it was broken off
+	$(BIN)/python tests/campaigns/fuzz.py --count $(or $(COUNT),10000) --seed $(or $(SEED),1) --state outputs/fuzz.jsonl
+
 test: setup
 	$(BIN)/dvc pull --quiet data
 	$(BIN)/pytest -n 2 --dist worksteal -m "not benchmark_figures" tests
