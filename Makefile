@@ -6,7 +6,7 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data dependencies lock
+.PHONY: help setup run test benchmark lint ui data dependencies lock queue fuzz
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
