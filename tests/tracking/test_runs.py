@@ -113,6 +113,13 @@ def test_a_database_that_cannot_be_written_is_told_at_once(workplace, monkeypatc
         pass
 
 
+def test_a_database_may_be_named_from_the_working_folder(workplace, monkeypatch):
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "sqlite:///runs.db")
+    with tracked_run("dynamics", "x", {}) as run:
+        pass
+    assert (workplace / "mlruns" / "dynamics" / run.run_id / "artifacts" / "config.yaml").exists()
+
+
 def test_a_run_whose_process_was_killed_is_closed_by_the_next_for_the_same_output(workplace):
     script = "import os; from swarmtwin.tracking.runs import tracked_run\n"
     script += "with tracked_run('dynamics', 'killed', {'output': 'out'}): os.kill(os.getpid(), 9)"

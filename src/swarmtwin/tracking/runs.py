@@ -106,8 +106,18 @@ def _close_orphans(experiment: Experiment, output: str | None) -> None:
     )
     for run in found:
         host, _, process = run.data.tags.get("process", "").partition(" ")
-        if host == socket.gethostname() and not Path(f"/proc/{process}").exists():
+        if host == socket.gethostname() and process.isdigit() and not _is_alive(int(process)):
             mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True
 
 
 def _output_is(output: Path | str) -> str | None:

@@ -117,4 +117,4 @@ def store_lock() -> Iterator[None]:
 
 def _database() -> Path | None:
     uri = store_uri()
-    return Path(uri.removeprefix("sqlite:///")) if uri.startswith("sqlite:///") else None
+    return Path(uri.removeprefix("sqlite:///").partition("?")[0]).absolute() if uri.startswith("sqlite:///") else None
