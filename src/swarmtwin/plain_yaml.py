@@ -49,7 +49,11 @@ def read_yaml(path: Path, bounds: Bounds | None = None) -> Any:
         raise UserError(f"{path} holds {size} bytes, more than {bounds.size}: is it the right file?")
     content = path.read_bytes()
     _check_bounds(content, path, bounds)
-    return yaml.load(content, _UniqueKeys)
+    loader = _UniqueKeys(content)
+    try:
+        return loader.get_single_data()
+    finally:
+        loader.dispose()
 
 
 def _check_bounds(content: bytes, path: Path, bounds: Bounds) -> None:
