@@ -106,3 +106,9 @@ def test_a_vehicle_whose_marker_is_mounted_backwards_is_named(judged):
     outcome, text = judged(mixed)
     assert outcome == REFUSED
     assert text.startswith("vehicle '2': vehicles move away from where they head")
+
+
+def test_a_recording_without_commands_is_not_judged_by_them(judged, recwarn):
+    recording = whole_recordings.commanded(lambda command: command * np.nan)(sound("mgr", seed=3))
+    assert judged(recording)[0] == TRUSTED
+    assert not recwarn.list

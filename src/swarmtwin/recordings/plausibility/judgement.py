@@ -7,6 +7,8 @@ robot's file or the arena is refused with the mistake that would explain it; wha
 from collections.abc import Iterator, Sequence
 from functools import partial
 
+import numpy as np
+
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.observed_motion import ObservedMotion
 from swarmtwin.recordings.plausibility.commands import clock_doubts, command_doubts, unsteered_doubts
@@ -53,13 +55,16 @@ def _doubts(recording: Recording, in_degrees: Recording | None, limits: Limits) 
     if len(motion) < limits.fewest_pairs:
         return
     yield from command_doubts(motion, limits)
+    if np.sum(~np.isnan(motion.command).any(axis=1)) < limits.fewest_pairs:
+        return
     yield from stillness_doubts(motion, limits)
     yield from arena_doubts(recording, rows, motion, limits)
     yield from gain_doubts(recording, motion, limits)
     degrees = ObservedMotion.of(in_degrees) if in_degrees else None
-    yield from frame_doubts(motion, degrees, limits)
+    of_frame = list(frame_doubts(motion, degrees, limits))
+    yield from of_frame
     yield from unsteered_doubts(motion)
-    if len(recording.vehicles) > 1:
+    if len(recording.vehicles) > 1 and not any(doubt.refused for doubt in of_frame):
         yield from _vehicle_doubts(recording, limits)
 
 
@@ -68,7 +73,7 @@ def _vehicle_doubts(recording: Recording, limits: Limits) -> Iterator[Doubt]:
     for vehicle in recording.vehicles:
         own = recording.where(partial(_is_of, vehicle))
         motion = ObservedMotion.of(own)
-        if len(motion) < limits.fewest_pairs:
+        if np.sum(~np.isnan(motion.command).any(axis=1)) < limits.fewest_pairs:
             continue
         found: Sequence[Doubt] = [*stillness_doubts(motion, limits), *frame_doubts(motion, None, limits)]
         for doubt in found:
