@@ -20,6 +20,7 @@ from swarmtwin.files import check_output, new_folder, output_folder
 from swarmtwin.learning.device import Device, one_thread
 from swarmtwin.learning.progress_bars import stage_bar
 from swarmtwin.robot import Robot, Seed, SituationPart, StrictModel
+from swarmtwin.studies.tracked_inputs import model_input, recording_input
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
@@ -59,15 +60,22 @@ def run(options: Options) -> None:
     settings = options.model_dump(mode="json", by_alias=True)
     check_output(output, "diagnose", options.overwrite, inputs)
     measured = read_vehicles(options.measured, options.robot, options.vehicles)
-    with tracked_run("diagnosis", name, settings, inputs, options.seed) as tracked:
+    given = [recording_input(options.measured, "measured", measured)]
+    reference_recording = None
+    if options.reference:
+        reference_recording = read_vehicles(options.reference, options.robot, options.reference_vehicles)
+        given.append(recording_input(options.reference, "reference", reference_recording))
+    if folder:
+        given.append(model_input(folder, "simulation"))
+    with tracked_run("diagnosis", name, settings, given, options.seed) as tracked:
         with new_folder(output, "diagnose", settings, options.overwrite, inputs=inputs) as inside:
             with stage_bar("diagnosis") as report, one_thread():
                 report("learning the reference", 0, 1)
                 reference, learned = reference_for(
                     measured,
                     options.robot,
-                    reference=options.reference,
-                    vehicles=options.reference_vehicles,
+                    reference=reference_recording,
+                    name=f"the reference {options.reference}",
                     folder=folder,
                     situation=options.situation,
                     settings=options.diagnosis,
@@ -111,7 +119,7 @@ def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: 
     if not options.register_model:
         return "extended simulation not registered"
     folder = output / EXTENDED
-    kept = tracked.folder(folder, "model")
+    kept = tracked.model(folder, "dynamics")
     provenance = Provenance.read(folder)
     causes = ", ".join(cause.name for cause in diagnosed.result.causes) or "learned residual"
     tags = {**provenance.tags("extended"), "causes": causes}

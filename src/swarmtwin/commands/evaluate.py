@@ -12,6 +12,7 @@ from swarmtwin.simulation.evaluation import Measured, load_simulation, measure
 from swarmtwin.simulation.evaluation_folder import save_measurement
 from swarmtwin.simulation.evaluation_plots import draw_evaluation
 from swarmtwin.simulation.evaluation_table import measurement_table
+from swarmtwin.studies.tracked_inputs import model_input, recording_input
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
@@ -44,7 +45,8 @@ def run(options: Options) -> None:
     kind = read_description(simulation).model["name"]
     recording = read_vehicles(options.recording, options.robot, options.vehicles)
     name = f"{options.robot.name}-{kind} on {options.recording.name}"
-    with tracked_run("dynamics", f"evaluate {name}", settings, inputs) as tracked:
+    given = [recording_input(options.recording, "measured", recording), model_input(simulation, "simulation")]
+    with tracked_run("dynamics", f"evaluate {name}", settings, given) as tracked:
         with new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder:
             measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
             about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}

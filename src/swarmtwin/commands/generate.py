@@ -22,6 +22,7 @@ from swarmtwin.generators.synthesis import GENERATOR, TRANSITIONS, Synthesis, sa
 from swarmtwin.generators.training import Record, Report
 from swarmtwin.learning.device import Device
 from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.studies.tracked_inputs import split_inputs
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions import SplitOptions
 from swarmtwin.transitions.inputs import Vehicles, training_transitions
@@ -97,7 +98,8 @@ def _train(options: Options, robot: Robot) -> None:
     output = output_folder(options.output, "generate", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
     check_output(output, "generate", options.overwrite, [source])
-    with tracked_run("generator", name, settings, [source], options.seed) as tracked:
+    inputs = split_inputs(source, transitions)
+    with tracked_run("generator", name, settings, inputs, options.seed) as tracked:
         started = time.monotonic()
         tracked.warnings(preparation.warnings)
         with new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder:

@@ -27,6 +27,7 @@ from swarmtwin.policies.training import (
 )
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.world.task import Task, task_config
 
@@ -67,7 +68,8 @@ def run(options: Options) -> None:
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
     check_output(output, "learn", options.overwrite, [simulation])
-    with tracked_run("policy", name, settings, [simulation], options.seed) as tracked:
+    inputs = [Dataset(simulation, "simulation", origin.digest)]
+    with tracked_run("policy", name, settings, inputs, options.seed) as tracked:
         started = time.monotonic()
         with new_folder(output, "learn", settings, options.overwrite, keep_partial=True, inputs=[simulation]) as folder:
             jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / "checkpoints")
@@ -78,7 +80,7 @@ def run(options: Options) -> None:
                 draw_learning(folder, folder)
             shutil.rmtree(folder / "checkpoints", ignore_errors=True)
         _track(tracked, results, provenance, time.monotonic() - started)
-        kept = tracked.folder(output, "policy")
+        kept = tracked.model(output, "policy")
         registered = "not registered"
         if options.register_model:
             tags = provenance.tags(task.config.name)

@@ -7,8 +7,9 @@ from pydantic import Field
 from rich.console import Console
 
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.studies.promotion import ModelKind, PolicyGate, promote
+from swarmtwin.studies.promotion import PolicyGate, promote
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.models import ModelKind
 
 
 class Options(StrictModel):

@@ -15,6 +15,7 @@ from swarmtwin.policies.rollout_plots import draw_rollout
 from swarmtwin.policies.rollout_table import comparison_table
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.studies.rollout_runner import MotionName, roll_out_policy
+from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles
@@ -59,10 +60,10 @@ def run(options: Options) -> None:
     folder_of_policy = registry.model_folder(options.policy.folder)
     check_output(options.output, "rollout", options.overwrite, [folder_of_policy])
     policy = load_policy(folder_of_policy, options.robot)
-    inputs = [folder_of_policy]
     name = f"{options.robot.name}-{policy.task.name}"
-    with tracked_run("transfer", f"rollout {name}", settings, inputs, options.seed) as tracked:
-        with new_folder(options.output, "rollout", settings, options.overwrite, inputs=inputs) as folder:
+    given = model_input(folder_of_policy, "policy")
+    with tracked_run("transfer", f"rollout {name}", settings, [given], options.seed) as tracked:
+        with new_folder(options.output, "rollout", settings, options.overwrite, inputs=[folder_of_policy]) as folder:
             rollouts = roll_out_policy(
                 policy,
                 options.on,
@@ -79,7 +80,7 @@ def run(options: Options) -> None:
             save_rollout(folder, rollouts, metrics, about)
             draw_rollout(folder, folder)
         tracked.metrics(tracked_figures(metrics))
-        tracked.tag("policy.digest", registry.folder_digest(folder_of_policy))
+        tracked.tag("policy.digest", given.digest)
         tracked.folder(options.output, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
     Console().print(f"figures, pictures and film: {options.output}", highlight=False, soft_wrap=True)

@@ -19,6 +19,7 @@ from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.studies.tracked_inputs import split_inputs
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions import SplitOptions, Transitions
@@ -66,10 +67,12 @@ def run(options: Options) -> None:
     name = f"{options.robot.name}-{config.name}"
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
-    check_output(output, "train", options.overwrite, data.sources)
-    with tracked_run("dynamics", name, settings, data.sources, options.seed) as tracked:
+    sources = list(data.sources)
+    check_output(output, "train", options.overwrite, sources)
+    inputs = [each for source in data.sources.items() for each in split_inputs(*source)]
+    with tracked_run("dynamics", name, settings, inputs, options.seed) as tracked:
         started = time.monotonic()
-        with new_folder(output, "train", settings, options.overwrite, keep_partial=True, inputs=data.sources) as folder:
+        with new_folder(output, "train", settings, options.overwrite, keep_partial=True, inputs=sources) as folder:
             trained = _train(options, config, data.transitions, folder / "checkpoints")
             provenance = provenance_of(trained, data.preparation)
             save_trained(folder, trained, provenance, data.evidence)
@@ -78,7 +81,7 @@ def run(options: Options) -> None:
             shutil.rmtree(folder / "checkpoints", ignore_errors=True)
         _track(tracked, trained, provenance, time.monotonic() - started)
         tracked.warnings(data.preparation.warnings)
-        kept = tracked.folder(output, "model")
+        kept = tracked.model(output, "dynamics")
         registered = "not registered"
         if options.register_model:
             registered_name = f"{options.robot.name}-dynamics"

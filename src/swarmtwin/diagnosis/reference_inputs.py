@@ -12,15 +12,14 @@ from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.transitions import from_recording
-from swarmtwin.transitions.inputs import Vehicles, read_vehicles
 
 
 def reference_for(
     measured: Recording,
     robot: Robot,
     *,
-    reference: Path | None,
-    vehicles: Vehicles,
+    reference: Recording | None,
+    name: str,
     folder: Path | None,
     situation: tuple[SituationPart, ...] | None,
     settings: DiagnosisSettings,
@@ -33,7 +32,7 @@ def reference_for(
         measured: the recording to diagnose.
         robot: whose recording it is.
         reference: a recording in which nothing is wrong; where no simulation is given, one is learned from it.
-        vehicles: of the reference, None for all.
+        name: what messages call it.
         folder: a trained simulation; without a reference it is compared with its own evidence.
         situation: what a simulation learned here looks at, None to choose by validation.
         settings: of the diagnosis.
@@ -45,10 +44,9 @@ def reference_for(
     """
     if folder is None:
         assert reference is not None
-        recording = read_vehicles(reference, robot, vehicles)
-        learned = tuple(track.digest() for track in recording.tracks)
-        _refuse_overlap(learned, measured, f"the reference {reference}")
-        transitions, _ = from_recording(recording)
+        learned = tuple(track.digest() for track in reference.tracks)
+        _refuse_overlap(learned, measured, name)
+        transitions, _ = from_recording(reference)
         return Reference.learn(transitions, seed, situation, settings), learned
     if situation is not None:
         raise UserError("situation=... is for a simulation learned from reference=DIR: a trained one has its own")
@@ -68,9 +66,8 @@ def reference_for(
                 "real data, or add reference=DIR, a recording in which nothing is wrong"
             )
         return Reference.of_simulation(dynamics, evidence, seed, settings), provenance.learned
-    recording = read_vehicles(reference, robot, vehicles)
-    _refuse_overlap(tuple(track.digest() for track in recording.tracks), measured, f"the reference {reference}")
-    transitions, _ = from_recording(provenance.unseen_part(recording))
+    _refuse_overlap(tuple(track.digest() for track in reference.tracks), measured, name)
+    transitions, _ = from_recording(provenance.unseen_part(reference))
     return Reference.of_simulation(dynamics, transitions, seed, settings), provenance.learned
 
 

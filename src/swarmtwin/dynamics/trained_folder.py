@@ -1,6 +1,7 @@
 """What a dynamics model is trained on, and the folder that a training leaves: model, evidence, figures, history."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,13 +26,13 @@ class TrainingData:
         preparation: how they came about.
         evidence: real transitions that the model is not fitted to, against which later sessions can be diagnosed. A
             mixture's is the test split alone, since its generator may have seen the rest.
-        sources: the folders that all of it comes from.
+        sources: the folders that all of it comes from, and what each of them holds.
     """
 
     transitions: Transitions
     preparation: Preparation
     evidence: Transitions
-    sources: list[Path]
+    sources: Mapping[Path, Transitions]
 
     @classmethod
     def read(
@@ -56,12 +57,13 @@ class TrainingData:
         if synthetic is None:
             if preparation.origin == "real":
                 unfitted = ("validation", "test")
-            return cls(real, preparation, held_out(real, unfitted, most_evidence), [source])
+            return cls(real, preparation, held_out(real, unfitted, most_evidence), {source: real})
         added = prepared_transitions(synthetic, robot)
         if set(added[1].learned) <= set(preparation.learned):  # else its generator may have seen any run
             unfitted = ("test",)
         mixed = mix((real, preparation), added, real_share)
-        return cls(*mixed, held_out(real, unfitted, most_evidence), [source, synthetic])
+        sources = {source: real, synthetic: added[0]}
+        return cls(*mixed, held_out(real, unfitted, most_evidence), sources)
 
 
 def provenance_of(trained: Trained, preparation: Preparation) -> Provenance:

@@ -1,7 +1,7 @@
 """A search for hyper-parameters of a dynamics model: trials of one Optuna study, trained side by side."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,8 @@ from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.learning.tuning import Range, SharedStudy, identity, trials_done
 from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.studies.tracked_inputs import split_inputs
+from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.runs import parent_run, tracked_run
 from swarmtwin.transitions import Preparation, SplitOptions, Transitions
 from swarmtwin.transitions.inputs import Vehicles, training_transitions
@@ -164,11 +166,12 @@ class _Worker:
     def run(self, report: Report | None) -> None:
         """Add the trials to the study; one that fails is told in a line and counts as failed."""
         transitions, _, source = self.search.data()
+        inputs = split_inputs(source, transitions, ("train", "validation"))
         study = self.shared.open(optuna.samplers.TPESampler(seed=self.seed, constant_liar=not self.alone))
         for _ in range(self.trials):
             trial = study.ask()
             try:
-                loss = self._loss(trial, transitions, source)
+                loss = self._loss(trial, transitions, inputs)
             except (UserError, RuntimeError, MemoryError) as error:
                 reason = (str(error).strip().splitlines() or ["out of memory"])[0]
                 logger.warning("trial %d failed: %s", trial.number, reason)
@@ -176,14 +179,14 @@ class _Worker:
             else:
                 study.tell(trial, loss)
 
-    def _loss(self, trial: optuna.Trial, transitions: Transitions, source: Path) -> float:
+    def _loss(self, trial: optuna.Trial, transitions: Transitions, inputs: Sequence[Dataset]) -> float:
         """Train with values that Optuna suggests; return the validation loss."""
         space, seed = self.search.space, self.search.seed
         values = {name: found.suggest(trial, name, name in self.whole_numbers) for name, found in space.items()}
         config, recipe = self.search.configured(values)
         settings = {"model": config.model_dump(mode="json"), "recipe": recipe.model_dump(mode="json")}
         name = f"{self.shared.name} trial {trial.number}"
-        with tracked_run("dynamics", name, settings, [source], seed) as tracked, quieter("swarmtwin.dynamics"):
+        with tracked_run("dynamics", name, settings, inputs, seed) as tracked, quieter("swarmtwin.dynamics"):
             trained = train(transitions, config, recipe, [seed], processes=1, device=self.search.device)
             best = trained.best.history[trained.best.best - 1]
             errors = {

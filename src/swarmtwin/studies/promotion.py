@@ -5,7 +5,7 @@ stand-ins from the same starts. The statistics of both gates stand in `tracking/
 """
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -20,13 +20,14 @@ from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.studies.rollout_runner import on_stand_ins, other_vehicles
+from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import gate, registry
+from swarmtwin.tracking.models import ModelKind
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions import Transitions, from_recording
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
 from swarmtwin.world.rollout import NEVER
 
-ModelKind = Literal["dynamics", "policy"]
 Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -106,8 +107,9 @@ def _find_candidate(kind: ModelKind, candidate: str, robot: Robot) -> registry.V
         tags, seed = policy.provenance.tags(policy.task.name), policy.provenance.seed
     if known := registry.version_of(name, folder):
         return known
-    with tracked_run(kind, f"register {folder}", {"candidate": candidate}, [folder], seed) as tracked:
-        source = tracked.folder(folder, "model" if kind == "dynamics" else "policy")
+    given = [model_input(folder, kind)]
+    with tracked_run(kind, f"register {folder}", {"candidate": candidate}, given, seed) as tracked:
+        source = tracked.model(folder, kind)
     return registry.register(name, folder, source, tracked.run_id, tags)
 
 

@@ -1,5 +1,6 @@
 """Registered models: versions of `<robot>-dynamics`, the newest as `challenger`, the promoted one as `champion`."""
 
+import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,13 +8,17 @@ from pathlib import Path
 
 import mlflow
 from mlflow.exceptions import MlflowException
+from mlflow.utils.mlflow_tags import MLFLOW_MODEL_VERSIONS
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
+from swarmtwin.tracking.datasets import files_digest
+from swarmtwin.tracking.models import model_data
 from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
 CHALLENGER, CHAMPION = "challenger", "champion"
 FORMER_CHAMPIONS = "former_champions"
+FILES_DIGEST = "files.digest"
 REFERENCE = re.compile(r"^models:/(?P<name>[^/@]+)(@(?P<alias>[^/@]+)|/(?P<number>\d+))$")
 
 
@@ -39,7 +44,7 @@ class Version:
         with store_errors():
             use_store()
             try:
-                folder = Path(mlflow.artifacts.download_artifacts(self.source))
+                kept = Path(mlflow.artifacts.download_artifacts(self.source))
             except (MlflowException, OSError) as error:
                 if Path(self.source.removeprefix("file://")).is_dir() or "://" in self.source.removeprefix("file://"):
                     raise
@@ -47,10 +52,13 @@ class Version:
                     f"the files of {self} are not where the registry says, {self.source}: bring them back, or register "
                     "the model's folder anew"
                 ) from error
-        stated, found = self.tags.get("digest"), folder_digest(folder)
+        if stated := self.tags.get(FILES_DIGEST):
+            folder, found = model_data(kept), _files_digest(kept)
+        else:  # a version of before: the model's folder itself
+            folder, stated, found = kept, self.tags.get("digest"), folder_digest(kept)
         if stated and stated != found:
             raise UserError(
-                f"the files of {self} in {folder} are not those that were registered: their digest is {found}, the "
+                f"the files of {self} in {kept} are not those that were registered: their digest is {found}, the "
                 f"registry says {stated}; bring the old ones back, or register the model's folder anew"
             )
         return folder
@@ -62,19 +70,28 @@ def register(name: str, folder: Path, source: str, run_id: str | None, tags: Map
     Args:
         name: the registered model, `<robot>-dynamics` or `<robot>-policy`.
         folder: the model as its command left it; its digest identifies the version.
-        source: where MLflow keeps the copy.
+        source: what MLflow keeps of it: an MLflow model, `models:/ID`, or the URI of a copy of the folder.
         run_id: the run that made it.
         tags: what people should read beside the version's number in the UI: the kind of model, its errors.
     """
-    tags = {**tags, "digest": folder_digest(folder)}
     with store_errors():
         use_store()
         client = mlflow.MlflowClient()
+        model_id = None
+        if source.startswith("models:/"):
+            model_id = source.removeprefix("models:/")
+            source = client.get_logged_model(model_id).artifact_location
+        kept = Path(mlflow.artifacts.download_artifacts(source))
+        tags = {**tags, "digest": folder_digest(folder), FILES_DIGEST: _files_digest(kept)}
         with store_lock():
             if name not in _names(client):
                 client.create_registered_model(name)
-        number = client.create_model_version(name, source, run_id, tags=tags).version
+        number = client.create_model_version(name, source, run_id, tags=tags, model_id=model_id).version
         client.set_registered_model_alias(name, CHALLENGER, number)
+        if model_id:
+            client.set_logged_model_tags(
+                model_id, {MLFLOW_MODEL_VERSIONS: json.dumps([{"name": name, "version": number}])}
+            )
     return Version(name, int(number), (CHALLENGER,), source, tags)
 
 
@@ -177,6 +194,11 @@ def roll_back(name: str) -> tuple[int, int]:
         client.set_registered_model_alias(name, CHAMPION, former[-1])
         _remember(client, name, former[:-1])
     return demoted.number, int(former[-1])
+
+
+def _files_digest(kept: Path) -> str:
+    """Return the digest of all that MLflow keeps, but for the note that it adds itself whenever it loads a version."""
+    return files_digest(kept, leave_out=["registered_model_meta"])
 
 
 def _names(client: mlflow.MlflowClient) -> list[str]:

@@ -1,7 +1,6 @@
-"""Every run in MLflow: its configuration, the code's commit, its inputs' DVC hashes, its seed, metrics and plots."""
+"""Every run in MLflow: its configuration, the code's commit, its inputs, its seed, metrics and plots."""
 
 import atexit
-import logging
 import os
 import socket
 import subprocess
@@ -18,9 +17,9 @@ from matplotlib.figure import Figure
 from mlflow.entities import Metric
 from omegaconf import DictConfig
 
+from swarmtwin.tracking.datasets import Dataset, dvc_hashes, log_datasets
+from swarmtwin.tracking.models import ModelKind, log_model
 from swarmtwin.tracking.store import store_errors, use_experiment, use_store
-
-logger = logging.getLogger(__name__)
 
 Experiment = Literal["dynamics", "generator", "diagnosis", "policy", "transfer", "deployment"]
 PARENT_RUN = "SWARMTWIN_PARENT_RUN"
@@ -61,6 +60,15 @@ class TrackedRun:
         mlflow.log_figure(figure, f"figures/{name}.png")
 
     @store_errors()
+    def model(self, folder: Path, kind: ModelKind) -> str:
+        """Keep a model as an MLflow model; return its URI, `models:/ID`.
+
+        Raises:
+            UserError: it cannot be loaded.
+        """
+        return log_model(folder, kind)
+
+    @store_errors()
     def folder(self, folder: Path, name: str) -> str:
         """Keep a copy of a folder under `name`; return its URI."""
         mlflow.log_artifacts(str(folder), name)
@@ -69,14 +77,19 @@ class TrackedRun:
 
 @contextmanager
 def tracked_run(
-    experiment: Experiment, name: str, config: Mapping[str, Any], inputs: Sequence[Path] = (), seed: int | None = None
+    experiment: Experiment,
+    name: str,
+    config: Mapping[str, Any],
+    inputs: Sequence[Dataset] = (),
+    seed: int | None = None,
 ) -> Iterator[TrackedRun]:
     """Open an MLflow run, under the sweep or study that is going on if there is one; close it with how it ended.
 
     Raises:
         UserError: the tracking store cannot be used.
     """
-    tags = _tags(inputs, seed)
+    hashes = dvc_hashes(dataset.folder for dataset in inputs)
+    tags = _tags(hashes, seed)
     output = str(config["output"]) if config.get("output") else None
     with store_errors():
         use_experiment(experiment)
@@ -87,6 +100,7 @@ def tracked_run(
             longest = 500  # characters that MLflow keeps of a parameter's value
             mlflow.log_params({key: value[:longest] for key, value in _flat(config)})
             mlflow.log_text(yaml.safe_dump(dict(config), sort_keys=False), "config.yaml")
+            log_datasets(run.info.run_id, inputs, hashes)
         yield TrackedRun(run.info.run_id)
     except BaseException as error:
         mlflow.end_run("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
@@ -151,7 +165,7 @@ def keep_with_run(output: Path, pictures: Path) -> None:
 
 def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study"]) -> str:
     """Open a run that groups those started until it is closed, also in other processes; return its id."""
-    tags = _tags((), None)
+    tags = _tags({}, None)
     with store_errors():
         use_experiment(experiment)
         client = mlflow.MlflowClient()
@@ -208,17 +222,14 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, st
             yield f"{prefix}{key}", str(value)
 
 
-def _tags(inputs: Sequence[Path], seed: int | None) -> dict[str, str]:
+def _tags(hashes: Mapping[Path, str], seed: int | None) -> dict[str, str]:
     tags = {"process": f"{socket.gethostname()} {os.getpid()}"}
     if seed is not None:
         tags["seed"] = str(seed)
     if commit := _git("rev-parse", "HEAD"):
         tags["mlflow.source.git.commit"] = commit
         tags["git.uncommitted_changes"] = str(bool(_git("status", "--porcelain", "--untracked-files=no"))).lower()
-    for path in inputs:
-        if digest := dvc_hash(path):
-            tags[f"dvc.{path}"] = digest
-    return tags
+    return tags | {f"dvc.{folder}": found for folder, found in hashes.items()}
 
 
 def _git(*arguments: str) -> str:
@@ -227,36 +238,3 @@ def _git(*arguments: str) -> str:
     except FileNotFoundError:
         return ""
     return answer.stdout.strip() if answer.returncode == 0 else ""
-
-
-def dvc_hash(path: Path) -> str | None:
-    """Return the DVC hash of the nearest tracked output that is `path` or holds it; None where DVC knows none."""
-    path = path.resolve()
-    for folder in [path, *path.parents]:
-        if not (folder / ".dvc").is_dir():
-            continue
-        tracked = dict(_tracked_outputs(folder))
-        for candidate in [path, *path.parents]:
-            if candidate in tracked:
-                return tracked[candidate]
-        return None
-    return None
-
-
-def _tracked_outputs(repository: Path) -> Iterator[tuple[Path, str]]:
-    for file in (*repository.glob("*.dvc"), repository / "dvc.lock"):
-        if not file.is_file():
-            continue
-        try:
-            content = yaml.safe_load(file.read_text()) or {}
-        except yaml.YAMLError:
-            logger.warning("%s is not valid YAML: the hashes in it are not recorded", file)
-            continue
-        for entry in (content, *content.get("stages", {}).values()):
-            yield from _outputs(entry, repository)
-
-
-def _outputs(entry: Mapping[str, Any], repository: Path) -> Iterator[tuple[Path, str]]:
-    for output in entry.get("outs", []):
-        if "md5" in output:
-            yield (repository / output["path"]).resolve(), output["md5"]

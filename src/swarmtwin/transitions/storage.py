@@ -12,7 +12,7 @@ import pyarrow.parquet
 
 from swarmtwin.files import check_regular
 from swarmtwin.recordings.recording import fault
-from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot
+from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot, SituationPart
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 
@@ -24,8 +24,8 @@ def write_transitions(file: Path, transitions: Transitions, beside: Mapping[str,
         transitions: N of them.
         beside: further columns (N,) by name, which `read_transitions` leaves aside.
     """
-    names = transitions.robot.command_columns
     most = transitions.neighbours.shape[1]
+    names = situation_columns(transitions.robot, most)
     neighbours = transitions.neighbours.reshape(len(transitions), 3 * most)
     columns: dict[str, Any] = {
         "run": _named(transitions.run, transitions.runs),
@@ -33,12 +33,12 @@ def write_transitions(file: Path, transitions: Transitions, beside: Mapping[str,
         "split": _named(transitions.split, SPLITS),
         "time_s": transitions.time_s,
         "duration_s": transitions.duration_s,
-        **dict(zip(names, transitions.command.T, strict=True)),
-        **dict(zip((f"previous_{name}" for name in names), transitions.previous_command.T, strict=True)),
-        **dict(zip((f"earlier_{name}" for name in names), transitions.earlier_command.T, strict=True)),
-        **dict(zip(POSE_COLUMNS, transitions.pose.T, strict=True)),
+        **dict(zip(names["command"], transitions.command.T, strict=True)),
+        **dict(zip(names["previous_command"], transitions.previous_command.T, strict=True)),
+        **dict(zip(names["earlier_command"], transitions.earlier_command.T, strict=True)),
+        **dict(zip(names["pose"], transitions.pose.T, strict=True)),
         **dict(zip(DISPLACEMENT_COLUMNS, transitions.displacement.T, strict=True)),
-        **dict(zip(_neighbour_columns(most), neighbours.T, strict=True)),
+        **dict(zip(names["neighbours"], neighbours.T, strict=True)),
         **(beside or {}),
     }
     metadata = {
@@ -63,16 +63,17 @@ def read_transitions(file: Path, remedy: str) -> Transitions:
         table = pa.parquet.read_table(file)
         metadata = {name.decode(): value for name, value in (table.schema.metadata or {}).items()}
         robot = Robot.model_validate_json(metadata["robot"])
-        names = robot.command_columns
+        most = sum(name.startswith("neighbour_") for name in table.column_names) // len(DISPLACEMENT_COLUMNS)
+        names = situation_columns(robot, most)
         return Transitions(
             robot=robot,
             arena_mm=Arena.model_validate_json(arena) if (arena := metadata.get("arena_mm")) else robot.arena_mm,
-            command=_stacked(table, names),
-            previous_command=_stacked(table, tuple(f"previous_{name}" for name in names)),
-            earlier_command=_earlier_command(table, names),
-            pose=_stacked(table, POSE_COLUMNS),
+            command=_stacked(table, names["command"]),
+            previous_command=_stacked(table, names["previous_command"]),
+            earlier_command=_earlier_command(table, names["earlier_command"]),
+            pose=_stacked(table, names["pose"]),
             displacement=_stacked(table, DISPLACEMENT_COLUMNS),
-            neighbours=_neighbours(table),
+            neighbours=_neighbours(table, names["neighbours"]),
             time_s=table.column("time_s").to_numpy(),
             duration_s=table.column("duration_s").to_numpy(),
             run=_index(table, "run", runs := tuple(json.loads(metadata["runs"]))),
@@ -84,6 +85,21 @@ def read_transitions(file: Path, remedy: str) -> Transitions:
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
         what = f"no transitions can be read ({str(error).splitlines()[0]})"
         raise fault(file, what, remedy) from None
+
+
+def situation_columns(robot: Robot, neighbours: int) -> dict[SituationPart, tuple[str, ...]]:
+    """Return the columns of each part of a situation in a table, with so many other vehicles."""
+    commands = robot.command_columns
+    others = tuple(f"neighbour_{n}_{name}" for n, name in product(range(1, neighbours + 1), DISPLACEMENT_COLUMNS))
+    return {
+        "command": commands,
+        "previous_command": tuple(f"previous_{name}" for name in commands),
+        "earlier_command": tuple(f"earlier_{name}" for name in commands),
+        "pose": POSE_COLUMNS,
+        "elapsed_s": ("time_s",),
+        "duration_s": ("duration_s",),
+        "neighbours": others,
+    }
 
 
 def _named(index: np.ndarray, names: tuple[str, ...]) -> pa.DictionaryArray:
@@ -102,21 +118,15 @@ def _stacked(table: pa.Table, names: tuple[str, ...]) -> np.ndarray:
     return np.column_stack([table.column(name).to_numpy() for name in names])
 
 
-def _earlier_command(table: pa.Table, names: tuple[str, ...]) -> np.ndarray:
+def _earlier_command(table: pa.Table, columns: tuple[str, ...]) -> np.ndarray:
     """Return (N, m) the commands before the previous ones, NaN where the file has no columns for them."""
-    columns = tuple(f"earlier_{name}" for name in names)
     if not set(columns) & set(table.column_names):
-        return np.full((len(table), len(names)), np.nan)
+        return np.full((len(table), len(columns)), np.nan)
     return _stacked(table, columns)
 
 
-def _neighbour_columns(most: int) -> tuple[str, ...]:
-    return tuple(f"neighbour_{number}_{name}" for number, name in product(range(1, most + 1), DISPLACEMENT_COLUMNS))
-
-
-def _neighbours(table: pa.Table) -> np.ndarray:
-    """Return (N, K, 3) as many neighbours as the file has columns for."""
-    most = sum(name.startswith("neighbour_") for name in table.column_names) // len(DISPLACEMENT_COLUMNS)
-    if not most:
+def _neighbours(table: pa.Table, columns: tuple[str, ...]) -> np.ndarray:
+    """Return (N, K, 3) as many neighbours as there are columns for."""
+    if not columns:
         return np.empty((len(table), 0, 3))
-    return _stacked(table, _neighbour_columns(most)).reshape(len(table), most, 3)
+    return _stacked(table, columns).reshape(len(table), -1, 3)

@@ -5,7 +5,7 @@ Each model is measured on runs it has never seen, beside the noise floor, a plai
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,11 +17,13 @@ from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, load_simulation, measure
 from swarmtwin.simulation.open_loop_storage import save_open_loop
 from swarmtwin.studies.dynamics.comparison_plots import draw_comparison
 from swarmtwin.studies.dynamics.table import figure_columns, model_table
+from swarmtwin.studies.tracked_inputs import model_input, recording_input
 from swarmtwin.tracking.runs import tracked_run
 
 
@@ -64,9 +66,15 @@ def run(options: Options) -> None:
     settings = options.model_dump(mode="json")
     inputs = [options.models, *options.recordings.values()]
     check_output(options.output, "experiment", options.overwrite, inputs)
-    with tracked_run("dynamics", f"{options.robot.name} models compared", settings, inputs) as tracked:
+    models = _model_folders(options.models)
+    recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}
+    given = [
+        *(recording_input(options.recordings[name], "test", recording) for name, recording in recordings.items()),
+        *(model_input(folder, "model") for folder in models),
+    ]
+    with tracked_run("dynamics", f"{options.robot.name} models compared", settings, given) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            entries = _entries(options)
+            entries = _entries(options, models, recordings)
             best = best_entry(entries)
             _save(folder, entries, best, options.robot.arena_mm)
             if options.pictures:
@@ -98,16 +106,18 @@ def best_entry(entries: Sequence[Entry]) -> Entry:
     return min(competing, key=lambda entry: sum(entry.provenance.chosen.errors[name] / lowest[name] for name in lowest))
 
 
-def _entries(options: Options) -> list[Entry]:
-    """Measure every model folder on every recording; the worst comes first, as in the paper's tables."""
-    if not options.models.is_dir():
-        raise UserError(f"no folder {options.models} with models: run `dvc repro` first")
-    folders = sorted(folder for folder in options.models.iterdir() if (folder / "model.yaml").exists())
+def _model_folders(parent: Path) -> list[Path]:
+    if not parent.is_dir():
+        raise UserError(f"no folder {parent} with models: run `dvc repro` first")
+    folders = sorted(folder for folder in parent.iterdir() if (folder / "model.yaml").exists())
     if not folders:
-        raise UserError(f"{options.models} holds no model folder: run `dvc repro` first")
-    measured = {
-        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
-    }
+        raise UserError(f"{parent} holds no model folder: run `dvc repro` first")
+    return folders
+
+
+def _entries(options: Options, folders: Sequence[Path], recordings: Mapping[str, Recording]) -> list[Entry]:
+    """Measure every model folder on every recording; the worst comes first, as in the paper's tables."""
+    measured = {name: Measured.of(recording, options.recordings[name]) for name, recording in recordings.items()}
     entries = []
     for folder in folders:
         simulation, provenance = load_simulation(folder, options.robot)

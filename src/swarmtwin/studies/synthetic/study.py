@@ -6,7 +6,7 @@ directly; and CR-Net given the walls that this ensemble is given.
 """
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -27,14 +27,17 @@ from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.generators.generator import generator_config
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, measure
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.synthetic.error_plots import draw_cases
 from swarmtwin.studies.synthetic.table import ERRORS, case_table
 from swarmtwin.studies.synthetic.trainings import Amount, Case, Training, TrainingSets, chosen_cases
+from swarmtwin.studies.tracked_inputs import recording_input, split_inputs
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
+from swarmtwin.transitions.mixing import Prepared
 
 Count = Annotated[int, Field(ge=1)]
 
@@ -97,11 +100,16 @@ def run(options: Options) -> None:
         raise UserError(f"no transitions in {options.transitions}: run `dvc repro` first, or give transitions=...")
     inputs = [options.transitions, *options.recordings.values()]
     check_output(options.output, "experiment", options.overwrite, inputs)
-    with tracked_run(
-        "generator", f"{options.robot.name} real and synthetic", settings, inputs, options.seed
-    ) as tracked:
+    real = prepared_transitions(options.transitions, options.robot)
+    recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}
+    given = [
+        *split_inputs(options.transitions, real[0]),
+        *(recording_input(options.recordings[name], "test", recording) for name, recording in recordings.items()),
+    ]
+    name = f"{options.robot.name} real and synthetic"
+    with tracked_run("generator", name, settings, given, options.seed) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            outcomes = _outcomes(options, cases)
+            outcomes = _outcomes(options, cases, real, recordings)
             table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome)])
             table.to_csv(folder / "table.csv", index=False)
             write_text(folder / "metrics.json", json.dumps(_metrics(outcomes), indent=1) + "\n")
@@ -114,10 +122,9 @@ def run(options: Options) -> None:
     Console().print(case_table(options.robot.title, table))
 
 
-def _trainings(options: Options, cases: dict[str, Case]) -> Iterator[Training]:
+def _trainings(options: Options, cases: dict[str, Case], real: Prepared) -> Iterator[Training]:
     configs = {name: model_config(getattr(options, name), name) for name in ("crnet", "mlp", "ensemble")}
     generators = {name: generator_config(getattr(options, name), name) for name in ("generator", "published")}
-    real = prepared_transitions(options.transitions, options.robot)
     less: dict[Amount, int] = {"part": round(options.part * len(real[0])), "few": options.few}
     sets = TrainingSets(real, less, options.synthetic, generators, options.generators, options.seed)
     for name, case in cases.items():
@@ -132,11 +139,11 @@ def _trainings(options: Options, cases: dict[str, Case]) -> Iterator[Training]:
         yield Training(name, case, preparation, jobs)
 
 
-def _outcomes(options: Options, cases: dict[str, Case]) -> list[Outcome]:
-    trainings = list(_trainings(options, cases))
-    measured = {
-        name: Measured.of(read_recording(folder, options.robot), folder) for name, folder in options.recordings.items()
-    }
+def _outcomes(
+    options: Options, cases: dict[str, Case], real: Prepared, recordings: Mapping[str, Recording]
+) -> list[Outcome]:
+    trainings = list(_trainings(options, cases, real))
+    measured = {name: Measured.of(recording, options.recordings[name]) for name, recording in recordings.items()}
     jobs = [job for training in trainings for job in training.jobs]
     with Progress(console=Console(stderr=True)) as bars:
         task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))

@@ -22,6 +22,7 @@ from swarmtwin.policies.rollout_comparison import (
 )
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.studies.rollout_runner import in_simulation, on_stand_ins, other_vehicles, simulation_of
+from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.studies.transfer.table import policy_table
 from swarmtwin.studies.transfer.transfer_plots import draw_transfer
 from swarmtwin.tracking.runs import tracked_run
@@ -65,7 +66,8 @@ def run(options: Options) -> None:
     settings, inputs = options.model_dump(mode="json"), [options.policies]
     check_output(options.output, "experiment", options.overwrite, inputs)
     policies = policies_of(options.policies, options.robot)
-    with tracked_run("transfer", f"{options.robot.name} policies", settings, inputs, options.seed) as tracked:
+    given = [model_input(policy.folder, "policy") for policy in policies]
+    with tracked_run("transfer", f"{options.robot.name} policies", settings, given, options.seed) as tracked:
         with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
             entries = [_entry(options, policy) for policy in policies]
             _save(folder, entries)
