@@ -47,6 +47,16 @@ def runs():
     return mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
 
 
+def inputs_of(run):
+    """Digest and profile of a run's datasets, by what they are for."""
+    return {
+        tag.value: (each.dataset.digest, json.loads(each.dataset.profile))
+        for each in run.inputs.dataset_inputs
+        for tag in each.tags
+        if tag.key == "mlflow.data.context"
+    }
+
+
 def same_model(first, second):
     files = ("weights.safetensors", "model.yaml", "metrics.json", "history.csv")
     return all((first / name).read_bytes() == (second / name).read_bytes() for name in files)
@@ -103,6 +113,15 @@ def test_a_run_is_tracked_and_its_model_registered_as_challenger(swarmtwin, work
     assert challenger.number == 2
     assert challenger.tags["digest"] == folder_digest(workshop / "seed-5")
     assert folder_digest(challenger.folder()) == folder_digest(workshop / "seed-5")
+    (output,) = last.outputs.model_outputs
+    assert mlflow.MlflowClient().get_logged_model(output.model_id).artifact_location == challenger.source
+    given = [inputs_of(run) for run in (first, last)]
+    assert given[0] == given[1]
+    assert {context: profile["runs"] for context, (_, profile) in given[0].items()} == {
+        context: len(Provenance.read(workshop / "seed-5").runs[split])
+        for context, split in (("training", "train"), ("validation", "validation"), ("test", "test"))
+    }
+    assert len({digest for digest, _ in given[0].values()}) == 3
 
 
 def test_the_evidence_beside_a_model_is_every_run_that_it_was_not_fitted_to(swarmtwin, workshop):

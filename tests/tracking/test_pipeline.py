@@ -320,7 +320,10 @@ def test_queued_experiments_compute_with_their_own_parameters(repository):
     runs = client.search_runs([experiment.experiment_id], filter_string="params.`model.name` = 'mlp'")
     assert set(map(str, steps)) <= {run.data.params["model.steps"] for run in runs}
     for run in runs:
-        assert (repository / "mlruns" / "dynamics" / run.info.run_id / "artifacts" / "model" / "model.yaml").exists()
+        (output,) = run.outputs.model_outputs
+        kept = Path(client.get_logged_model(output.model_id).artifact_location.removeprefix("file://"))
+        assert kept.is_relative_to(repository / "mlruns" / "dynamics")
+        assert (kept / "data" / "model" / "model.yaml").exists()
 
 
 def output_of(folder, experiment, stage, file):

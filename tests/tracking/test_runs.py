@@ -10,7 +10,7 @@ import yaml
 from mlflow.exceptions import MlflowException
 
 from swarmtwin.errors import UserError
-from swarmtwin.tracking.runs import dvc_hash, parent_run, tracked_run
+from swarmtwin.tracking.runs import parent_run, tracked_run
 
 CONFIG = {"robot": {"name": "mgr"}, "model": {"name": "mlp", "hidden": [128, 128]}, "seed": 3}
 
@@ -81,19 +81,6 @@ def test_a_store_that_fails_while_a_run_goes_on_is_one_clear_error(workplace, mo
         monkeypatch.setattr(mlflow.MlflowClient, "log_batch", fail)
         with pytest.raises(UserError, match=r"the MLflow store sqlite:.* cannot be used \(API request failed: Connec"):
             run.metrics({"position_mm": 1.0})
-
-
-def test_inputs_are_known_by_their_dvc_hash(workplace):
-    (workplace / ".dvc").mkdir()
-    (workplace / "data" / "mgr").mkdir(parents=True)
-    (workplace / "data.dvc").write_text("outs: [{md5: abc.dir, path: data}]\n")
-    (workplace / "dvc.lock").write_text("stages: {t: {outs: [{md5: def.dir, path: artifacts/transitions/mgr}]}}\n")
-    assert dvc_hash(workplace / "data" / "mgr") == "abc.dir"
-    assert dvc_hash(workplace / "artifacts" / "transitions" / "mgr") == "def.dir"
-    assert dvc_hash(workplace / "elsewhere") is None
-    with tracked_run("dynamics", "x", {}, inputs=[workplace / "data"]) as run:
-        pass
-    assert mlflow.get_run(run.run_id).data.tags[f"dvc.{workplace / 'data'}"] == "abc.dir"
 
 
 def test_a_server_that_is_away_is_told_within_seconds(workplace, monkeypatch):

@@ -34,7 +34,7 @@ class ServedPolicy:
 
     def predict(self, table: pd.DataFrame) -> pd.DataFrame:
         """Return the commands, in the robot's units and within its limits."""
-        command = self.policy.act(table[list(self.required)].to_numpy(float)[None])[0]
+        command = self.policy.act(table[list(self.required)].to_numpy(float, copy=True)[None])[0]
         return pd.DataFrame(command, table.index, list(self.policy.robot.command_columns))
 
 
