@@ -3,6 +3,8 @@
 import json
 import shutil
 
+import mlflow
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -14,6 +16,8 @@ from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.standin.physics import Physics
 from swarmtwin.tracking.registry import versions
 from swarmtwin.transitions import from_recording
+from swarmtwin.transitions.storage import write_transitions
+from tiny_policies import robot_named
 
 SAG = "effects=[{name: battery_sag, loss: 0.35}]"
 
@@ -66,11 +70,26 @@ def test_the_extended_simulation_is_a_dynamics_model_like_any_other(drives, diag
     transitions, _ = from_recording(read_recording(drives / "sag", extended.robot))
     predicted = predict(extended, transitions)
     assert predicted.shape == (len(transitions), 3)
-    assert versions("mgr-dynamics")[0].tags["causes"] == "battery_sag"
+    version = versions("mgr-dynamics")[0]
+    assert version.tags["causes"] == "battery_sag"
+    write_transitions(drives / "sag.parquet", transitions)
+    served = mlflow.pyfunc.load_model(f"models:/{version.name}/{version.number}")
+    np.testing.assert_array_equal(served.predict(pd.read_parquet(drives / "sag.parquet")), predicted)
     provenance = Provenance.read(diagnosed / "simulation")
     held_out = provenance.unseen_part(read_recording(drives / "sag", extended.robot))
     assert set(held_out.runs) >= set(provenance.runs["test"])
     assert not set(held_out.runs) & set(provenance.runs["train"])
+
+
+def test_its_run_names_reference_and_measured_session_with_digests_of_their_own(drives, diagnosed):
+    (run,) = mlflow.search_runs(
+        experiment_names=["diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
+    )
+    recordings = {name: read_recording(drives / name, robot_named("mgr")) for name in ("reference", "sag")}
+    assert {(each.dataset.name, each.tags[0].value, each.dataset.digest) for each in run.inputs.dataset_inputs} == {
+        ("reference", "reference", recordings["reference"].digest[:36]),
+        ("sag", "measured", recordings["sag"].digest[:36]),
+    }
 
 
 def test_the_report_stands_alone(diagnosed):
