@@ -7,8 +7,7 @@ from pydantic import Field
 from rich.console import Console
 
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.studies.promotion import ModelKind, PolicyGate, promote
-from swarmtwin.tracking import registry
+from swarmtwin.studies.promotion import ModelKind, PolicyGate, promote, roll_back
 
 
 class Options(StrictModel):
@@ -18,6 +17,8 @@ class Options(StrictModel):
     what: ModelKind
     candidate: Annotated[str, Field(coerce_numbers_to_str=True)]
     recording: Path
+    baseline: Path | None
+    task: str | None
     policy_gate: PolicyGate
     rollback: bool
 
@@ -30,9 +31,15 @@ def run(options: Options) -> None:
         UserError: there is no such candidate, nothing to measure it on, or no champion before.
     """
     if options.rollback:
-        name = f"{options.robot.name}-{options.what}"
-        demoted, restored = registry.roll_back(name)
-        answer = f"{name}: version {restored} is champion again, version {demoted} no longer"
+        answer = roll_back(options.what, options.robot, options.task)
     else:
-        answer = promote(options.what, options.candidate, options.robot, options.recording, options.policy_gate)
+        answer = promote(
+            options.what,
+            options.candidate,
+            options.robot,
+            options.recording,
+            options.baseline,
+            options.task,
+            options.policy_gate,
+        )
     Console().print(answer, highlight=False)

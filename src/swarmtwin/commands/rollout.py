@@ -32,6 +32,7 @@ class Options(StrictModel):
 
     robot: Robot
     policy: ModelFolder
+    task: str | None
     simulation: str | None
     on: Annotated[tuple[MotionName, ...], Field(min_length=1)]
     vehicles: Vehicles
@@ -56,9 +57,9 @@ def run(options: Options) -> None:
     """
     check_count(options.count)
     settings = options.model_dump(mode="json")
-    folder_of_policy = registry.model_folder(options.policy.folder)
+    folder_of_policy = registry.model_folder(options.policy.folder, options.task)
     check_output(options.output, "rollout", options.overwrite, [folder_of_policy])
-    policy = load_policy(folder_of_policy, options.robot)
+    policy = load_policy(folder_of_policy, options.robot, options.task)
     inputs = [folder_of_policy]
     name = f"{options.robot.name}-{policy.task.name}"
     with tracked_run("transfer", f"rollout {name}", settings, inputs, options.seed) as tracked:

@@ -1,6 +1,7 @@
 """What transitions are in memory: aligned arrays, one row a transition."""
 
 import dataclasses
+import hashlib
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -74,6 +75,14 @@ class Transitions:
             if isinstance(value := getattr(self, field.name), np.ndarray)
         }
         return dataclasses.replace(self, **arrays)
+
+    def digest(self) -> str:
+        """Identify the content: every number, and the names of the runs and vehicles."""
+        content = hashlib.sha256(repr((self.runs, self.vehicles)).encode())
+        for field in dataclasses.fields(self):
+            if isinstance(value := getattr(self, field.name), np.ndarray):
+                content.update(value.tobytes())
+        return content.hexdigest()[:16]
 
     def part(self, split: Split) -> Self:
         """Return the transitions of one split."""
