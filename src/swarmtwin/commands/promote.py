@@ -6,6 +6,8 @@ from typing import Annotated
 from pydantic import Field
 from rich.console import Console
 
+from swarmtwin.errors import UserError
+from swarmtwin.policies.policy_folder import TaskName
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.studies.promotion import ModelKind, PolicyGate, promote, roll_back
 
@@ -18,7 +20,7 @@ class Options(StrictModel):
     candidate: Annotated[str, Field(coerce_numbers_to_str=True)]
     recording: Path
     baseline: Path | None
-    task: str | None
+    task: TaskName
     policy_gate: PolicyGate
     rollback: bool
 
@@ -30,8 +32,10 @@ def run(options: Options) -> None:
         RefusedError: the gate refuses.
         UserError: there is no such candidate, nothing to measure it on, or no champion before.
     """
+    if options.what == "dynamics" and options.task.name is not None:
+        raise UserError("task=... is of policies: leave it out, or add what=policy")
     if options.rollback:
-        answer = roll_back(options.what, options.robot, options.task)
+        answer = roll_back(options.what, options.robot, options.task.name)
     else:
         answer = promote(
             options.what,
@@ -39,7 +43,7 @@ def run(options: Options) -> None:
             options.robot,
             options.recording,
             options.baseline,
-            options.task,
+            options.task.name,
             options.policy_gate,
         )
     Console().print(answer, highlight=False)

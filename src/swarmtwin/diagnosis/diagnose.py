@@ -108,9 +108,9 @@ def diagnose(
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:
-    """Begin a sentence with what was fitted to the other runs."""
-    fitted = ", ".join(cause.name.replace("_", " ") for cause in causes) or "a learned residual"
-    return f"{fitted} fits the other runs, but {objection}"
+    """Say what it was that held-out runs do not confirm, and why."""
+    fitted = " and ".join(cause.name.replace("_", " ") for cause in causes) or "the extension"
+    return f"held-out runs do not confirm {fitted}: {objection}"
 
 
 def _tell(progress: Progress | None, stage: str) -> None:

@@ -99,14 +99,14 @@ def not_confirmed(gain: Gains, likelihood: Gain) -> str | None:
     """
     position, orientation, open_loop = gain.position_mm, gain.orientation_deg, gain.open_loop_mm
     if all(one.before == one.after for one in (position, orientation, open_loop)):
-        return None if likelihood.low > 0 else "held-out runs are not measurably more likely with it"
+        return None if likelihood.low > 0 else "they are not measurably more likely with it"
     faults = []
     if position.low <= 0:
         faults.append(f"the position is not measurably better ({_told(position, 'mm')})")
     for name, one, unit in (("orientation", orientation, "°"), ("open loop", open_loop, "mm")):
         if one.high < 0 and one.after > one.before:
             faults.append(f"the {name} is measurably worse ({_told(one, unit)})")
-    return f"on held-out runs {' and '.join(faults)}" if faults else None
+    return " and ".join(faults) or None
 
 
 def _told(gain: Gain, unit: str) -> str:

@@ -75,6 +75,12 @@ class PolicyProvenance(StrictModel):
         }
 
 
+class TaskName(StrictModel):
+    """The task that a policy must be for; task=X is short for task.name=X. None: whichever it is for."""
+
+    name: str | None
+
+
 DESCRIPTION = "policy.yaml"
 
 

@@ -79,8 +79,6 @@ def promote(
         RefusedError: the gate refuses it.
         UserError: there is no such candidate, or nothing to measure it on.
     """
-    if kind == "dynamics" and task is not None:
-        raise UserError("task=... is of policies: leave it out, or add what=policy")
     version = _find_candidate(kind, candidate, robot, task)
     champion = registry.holder(version.name, "champion", version.task)
     if champion and champion.number == version.number:

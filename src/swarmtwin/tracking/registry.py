@@ -118,12 +118,20 @@ def versions(name: str) -> list[Version]:
 
 def holders(name: str, role: Role) -> list[Version]:
     """Return the challenger or the champion of each task, the newest first; of dynamics models there is one at most."""
-    return [version for version in versions(name) if {role, _own_alias(role, version.task)} & {*version.aliases}]
+    return _holders(versions(name), role)
 
 
 def holder(name: str, role: Role, task: str | None = None) -> Version | None:
     """Return the challenger or the champion, of a task where it is a policy's; None where there is none yet."""
-    return next((version for version in holders(name, role) if version.task == task), None)
+    return _holder(versions(name), role, task)
+
+
+def _holders(known: list[Version], role: Role) -> list[Version]:
+    return [version for version in known if {role, _own_alias(role, version.task)} & {*version.aliases}]
+
+
+def _holder(known: list[Version], role: Role, task: str | None) -> Version | None:
+    return next((version for version in _holders(known, role) if version.task == task), None)
 
 
 def _own_alias(role: Role, task: str | None) -> str:
@@ -131,9 +139,9 @@ def _own_alias(role: Role, task: str | None) -> str:
     return f"{role}-{re.sub('[^A-Za-z0-9_-]', '_', task)}" if task else role
 
 
-def _alias(name: str, role: Role, task: str | None) -> str:
+def _alias(known: list[Version], role: Role, task: str | None) -> str:
     """Return the alias that the challenger or the champion of a task carries."""
-    bearer = next((version for version in versions(name) if role in version.aliases), None)
+    bearer = next((version for version in known if role in version.aliases), None)
     return role if bearer is None or bearer.task == task else _own_alias(role, task)
 
 
@@ -176,9 +184,10 @@ def check_task(version: Version, task: str | None) -> None:
     """
     if task is None or version.task == task:
         return
-    meant = holder(version.name, "champion", task)
-    alias = _alias(version.name, "champion", task)
-    remedy = f"write models:/{version.name}@{alias}" if meant else f"no policy for {task!r} is champion yet"
+    known = versions(version.name)
+    remedy = f"write models:/{version.name}@{_alias(known, 'champion', task)}"
+    if _holder(known, "champion", task) is None:
+        remedy = f"no policy for {task!r} is champion yet"
     raise UserError(f"{version} is for task {version.task!r}, not for {task!r}: {remedy}")
 
 
@@ -212,19 +221,14 @@ def challenge(version: Version, compare: Callable[[Version], tuple[bool, str]]) 
         if incumbent and not better:
             return f"registered as {version}; version {incumbent.number} stays challenger: {reason}"
         with store_errors(), store_lock():
-            if not _is_still(incumbent, "challenger", version):
+            known = versions(version.name)
+            now, alias = _holder(known, "challenger", version.task), _alias(known, "challenger", version.task)
+            if (now and now.number) != (incumbent and incumbent.number):
                 continue
-            alias = _alias(version.name, "challenger", version.task)
             mlflow.MlflowClient().set_registered_model_alias(version.name, alias, str(version.number))
         if incumbent is None:
             return f"registered as {version}, its {alias}"
         return f"registered as {version}, its {alias} in place of version {incumbent.number}: {reason}"
-
-
-def _is_still(incumbent: Version | None, role: Role, version: Version) -> bool:
-    """Say whether the one that a version was compared with is still the challenger or the champion of its task."""
-    now = holder(version.name, role, version.task)
-    return (now and now.number) == (incumbent and incumbent.number)
 
 
 def promote(version: Version, reason: str, against: Version | None) -> None:
@@ -239,10 +243,11 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
         UserError: another version became champion meanwhile.
     """
     with store_errors(), store_lock():
-        if not _is_still(against, "champion", version):
-            now = holder(version.name, "champion", version.task)
+        known = versions(version.name)
+        now, alias = _holder(known, "champion", version.task), _alias(known, "champion", version.task)
+        if (now and now.number) != (against and against.number):
             raise UserError(f"{now} became champion meanwhile: promote {version} again, to be compared with that")
-        client, alias = mlflow.MlflowClient(), _alias(version.name, "champion", version.task)
+        client = mlflow.MlflowClient()
         if against:
             former = _former_champions(client, version.name, alias)
             _remember(client, version.name, alias, [*former, str(against.number)])
@@ -257,10 +262,11 @@ def roll_back(name: str, task: str | None = None) -> tuple[int, int]:
         UserError: there is no champion, or none before it.
     """
     with store_errors(), store_lock():
-        demoted = holder(name, "champion", task)
+        known = versions(name)
+        demoted, alias = _holder(known, "champion", task), _alias(known, "champion", task)
         if demoted is None:
-            raise UserError(f"{name} has no champion to roll back from; there are {_describe(versions(name))}")
-        client, alias = mlflow.MlflowClient(), _alias(name, "champion", task)
+            raise UserError(f"{name} has no champion to roll back from; there are {_describe(known)}")
+        client = mlflow.MlflowClient()
         former = _former_champions(client, name, alias)
         if not former:
             raise UserError(f"{demoted} is the first champion: there is none to roll back to")

@@ -77,7 +77,7 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
     if diagnosis.verdict == "no_gap":
         return "Nothing is wrong: the simulation does what the robot did, within the ordinary noise."
     if diagnosis.not_confirmed:
-        return f"The robot departs from the simulation, and no cause is confirmed: {diagnosis.not_confirmed}."
+        return f"The robot departs from the simulation, and no known cause explains it: {diagnosis.not_confirmed}."
     if diagnosis.verdict == "explained":
         return f"The robot departs from the simulation because {causes}."
     if diagnosis.causes:
