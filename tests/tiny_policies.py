@@ -30,7 +30,7 @@ def robot_named(name):
     return Robot.load(CONF / "robot" / f"{name}.yaml")
 
 
-def task_named(name, **changes):
+def task_named(name, /, **changes):
     """A shipped task's configuration, with changes."""
     content = yaml.safe_load((CONF / "task" / f"{name}.yaml").read_text())
     return task_config({**content, **changes}, name)

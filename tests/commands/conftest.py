@@ -9,6 +9,7 @@ import pytest
 
 from swarmtwin.commands.app import run_command
 from swarmtwin.standin.physics import Physics
+from swarmtwin.tracking import registry
 
 RECORDINGS = {
     "reference": ("vehicle=1", "runs=30", "steps=30", "seed=1"),
@@ -72,6 +73,18 @@ def swarmtwin(workshop, capsys):
         capsys.readouterr()
         status = run(*arguments)
         return Answer(status, *capsys.readouterr())
+
+    return call
+
+
+@pytest.fixture
+def crown(workshop):
+    """Register a model and make it champion, past the gate; return its version."""
+
+    def call(folder, name="mgr-dynamics", **tags):
+        version = registry.register(name, folder, folder.as_uri(), None, tags)
+        registry.promote(version, "planted", registry.holder(name, "champion", version.task))
+        return version
 
     return call
 

@@ -72,6 +72,7 @@ def test_the_extended_simulation_is_a_dynamics_model_like_any_other(drives, diag
     assert predicted.shape == (len(transitions), 3)
     version = versions("mgr-dynamics")[0]
     assert version.tags["causes"] == "battery_sag"
+    assert version.aliases == ("challenger",)
     write_transitions(drives / "sag.parquet", transitions)
     served = mlflow.pyfunc.load_model(f"models:/{version.name}/{version.number}")
     np.testing.assert_array_equal(served.predict(pd.read_parquet(drives / "sag.parquet")), predicted)
@@ -90,6 +91,24 @@ def test_its_run_names_reference_and_measured_session_with_digests_of_their_own(
         ("reference", "reference", recordings["reference"].digest[:36]),
         ("sag", "measured", recordings["sag"].digest[:36]),
     }
+
+
+def test_what_held_out_runs_do_not_confirm_is_neither_named_nor_kept_nor_registered(drives, tmp_path, capfd):
+    """A session whose every fourth run, which is held out, has nothing wrong."""
+    mixed = tmp_path / "mixed"
+    shutil.copytree(drives / "sag", mixed)
+    for file in sorted((drives / "clean" / "runs").iterdir())[3::4]:
+        shutil.copy(file, mixed / "runs")
+    known, output = versions("mgr-dynamics"), tmp_path / "diagnosis"
+    call("diagnose", "robot=mgr", f"reference={drives / 'reference'}", f"measured={mixed}", f"output={output}")
+    diagnosis = json.loads((output / "diagnosis.json").read_text())
+    assert diagnosis["gain"]["position_mm"]["low"] < 0
+    assert (diagnosis["verdict"], diagnosis["causes"]) == ("unexplained", [])
+    assert "not measurably better" in diagnosis["not_confirmed"]
+    assert "held-out runs do not confirm" in capfd.readouterr().out
+    assert "go on with the extended simulation" not in (output / "report.html").read_text()
+    assert not (output / "simulation").exists()
+    assert versions("mgr-dynamics") == known
 
 
 def test_the_report_stands_alone(diagnosed):

@@ -140,7 +140,7 @@ class Page(HTMLParser):
         self.words += data.split()
 
 
-def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swarmtwin, models, workshop):
+def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swarmtwin, models, workshop, crown):
     overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
     answer = swarmtwin(*overview)
     assert answer.status == 2
@@ -152,7 +152,8 @@ def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swar
     assert swarmtwin(*overview).status == 0
     assert "No champion is registered yet." in " ".join(Page((workshop / "overview/overview.html").read_text()).words)
 
-    assert swarmtwin("promote", "candidate=artifacts/comparison/mgr/best", "recording=other_vehicle").status == 0
+    crown(workshop / "artifacts/comparison/mgr/best")
+    crown(workshop / "artifacts/comparison/mgr/best", "mgr-policy", task="obstacle")
     answer = swarmtwin(*overview)
     assert answer.status == 0
     text = (workshop / "overview" / "overview.html").read_text()
@@ -162,8 +163,9 @@ def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swar
     for loader in ("@import", "url(", "<script", "<link"):
         assert loader not in text
     words = " ".join(page.words)
-    assert "Registered champion: mgr-dynamics version 1 (one-step error -" in words
-    assert "measurably better than predicting the mean displacement" in words
+    assert "Registered champion: mgr-dynamics version 1 (planted)." in words
+    assert "Registered champion: mgr-policy version 1 for task obstacle (planted)." in words
+    assert "No champion is registered" not in words
     table = pd.read_csv(workshop / "artifacts" / "comparison" / "mgr" / "table.csv")
     for row in table.query("recording == 'train_vehicle'").itertuples():
         assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in words

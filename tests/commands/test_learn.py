@@ -66,6 +66,18 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
     assert load_policy(version.folder()).provenance == policy.provenance
 
 
+def test_a_policy_that_is_no_better_from_the_same_starts_does_not_challenge(swarmtwin, model, workshop):
+    """One put together by hand drives to the target; one that has hardly learned does not."""
+    seeker = save_seeker(workshop / "seeker", **TASK_SETTINGS)
+    registry.challenge(registry.register("mgr-policy", seeker, seeker.as_uri(), None, {"task": "obstacle"}), None)
+    model("mlp")
+    answer = swarmtwin(*QUICK, "policy.steps=50", "seeds=1", "output=out")
+    assert answer.status == 0, answer.error
+    assert "registered as mgr-policy version 2; version 1 stays challenger: success -" in answer.shown
+    assert "it is not measurably better" in answer.shown
+    assert registry.holder("mgr-policy", "challenger", "obstacle").number == 1
+
+
 def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     model("mlp")
     answer = swarmtwin(

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 import yaml
-from safetensors.numpy import load_file, save_file
 
-from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.dynamics.model_folder import load_dynamics
+from swarmtwin.dynamics.evaluation import one_step, predict
+from swarmtwin.dynamics.model_folder import load_dynamics, load_evidence, save_dynamics
+from swarmtwin.dynamics.plain_baseline import fit_kinematics
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.tracking import registry
 from swarmtwin.transitions import from_recording
@@ -30,17 +30,8 @@ def promote(swarmtwin):
 
 
 def champion_number():
-    champion = registry.champion(NAME)
+    champion = registry.holder(NAME, "champion")
     return champion and champion.number
-
-
-def shuffle_weights(folder):
-    """Make a model of equal size and scaling that has learned nothing."""
-    rng = np.random.default_rng(1)
-    weights = load_file(folder / "weights.safetensors")
-    garbled = {name: rng.permutation(w.ravel()).reshape(w.shape) if w.ndim == 2 else w for name, w in weights.items()}
-    save_file(garbled, folder / "weights.safetensors")
-    return folder
 
 
 def errors_by_hand(folder, recording, robot, runs=None):
@@ -57,22 +48,57 @@ def change_by_hand(candidate, incumbent):
     return 50 * sum(c.mean() / i.mean() - 1 for c, i in zip(candidate, incumbent, strict=True))
 
 
-def test_the_first_champion_must_beat_predicting_the_mean(promote, model):
-    answer = promote(shuffle_weights(model("mlp", "garbled")))
-    assert answer.status == 3
+@pytest.fixture
+def knowing(model, workshop, robots):
+    """A model that no recording of another vehicle could give: it knows how the other vehicle moves."""
+    folder, robot = model("mlp", "knowing"), robots["mgr"]
+    description = yaml.safe_load((folder / "model.yaml").read_text())
+    transitions, _ = from_recording(read_recording(workshop / "other_vehicle", robot))
+    save_dynamics(folder, fit_kinematics(transitions), description["provenance"])
+    return folder
+
+
+def test_the_plain_baseline_is_the_kinematic_model_and_fits_at_least_as_well_as_a_trained_one(library):
+    trained = library / "models" / "kinematic"
+    validation = load_evidence(trained).part("validation")
+    fitted, other = (one_step(each, validation) for each in (fit_kinematics(validation), load_dynamics(trained)))
+    assert fitted.position_mm + fitted.orientation_deg <= other.position_mm + other.orientation_deg
+
+
+def test_the_first_champion_must_beat_the_kinematic_model(promote, swarmtwin, model, knowing):
+    plain = promote(model("kinematic"))
+    assert plain.status == 3
     assert re.fullmatch(
-        rf"swarmtwin promote: {NAME} version 1 is not promoted: {FIGURES}: not measurably better than predicting the "
-        r"mean displacement \(there is no champion yet\) on other_vehicle\n",
-        answer.error,
+        rf"swarmtwin promote: {NAME} version 1 is not promoted: {FIGURES}: not measurably better than the kinematic "
+        r"model fitted to its validation runs \(there is no champion yet\) on other_vehicle\n",
+        plain.error,
     )
+    assert promote(model("mlp")).status == 3
+    assert swarmtwin("prepare", "recording=reference", "output=prepared").status == 0
+    fuller = swarmtwin("promote", f"candidate={knowing}", "recording=other_vehicle", "baseline=prepared")
+    assert fuller.status == 0
+    assert re.search(rf"{FIGURES}: measurably better than the kinematic model fitted to prepared ", fuller.shown)
+    assert champion_number() == 3
+
+
+def test_what_a_plain_baseline_would_be_fitted_to_is_asked_for_and_is_not_what_is_judged_on(swarmtwin, model):
+    (model("mlp") / "evidence.parquet").unlink()
+    ask = ("promote", "candidate=mlp", "recording=other_vehicle")
+    answer = swarmtwin(*ask)
+    assert answer.status == 2
+    assert (
+        "carries no measured transitions to fit the kinematic model to, the rival of a first champion" in answer.error
+    )
+    assert swarmtwin("prepare", "recording=other_vehicle", "output=judged").status == 0
+    answer = swarmtwin(*ask, "baseline=judged")
+    assert answer.status == 2
+    assert "baseline judged holds runs that are judged on: add recording=... with another one" in answer.error
     assert champion_number() is None
-    assert promote(model("mlp")).status == 0
-    assert champion_number() == 2
 
 
-def test_a_better_model_is_promoted_and_a_worse_one_is_not(promote, model, workshop, robots):
+def test_a_better_model_is_promoted_and_a_worse_one_is_not(promote, model, workshop, robots, crown):
     rough, good = model("rough"), model("mlp")
-    assert promote(rough).status == 0
+    crown(rough)
     better = promote(good)
     assert better.status == 0
     assert champion_number() == 2
@@ -89,21 +115,21 @@ def test_a_better_model_is_promoted_and_a_worse_one_is_not(promote, model, works
         found = re.search(FIGURES, " ".join(answer.split()))
         assert float(found["change"]) == pytest.approx(expected, abs=0.006)
         assert float(found["low"]) < float(found["change"]) < float(found["high"])
-    assert re.search(FIGURES, registry.champion(NAME).tags["promoted_because"])
+    assert re.search(FIGURES, registry.holder(NAME, "champion").tags["promoted_because"])
 
 
-def test_promoting_the_champion_again_changes_nothing(promote, model):
+def test_promoting_the_champion_again_changes_nothing(promote, model, crown):
     folder = model("mlp")
-    promote(folder)
+    registry.challenge(crown(folder), None)
     for candidate in (folder, 1, "challenger", f"models:/{NAME}@champion"):
         answer = promote(candidate)
         assert (answer.status, answer.shown) == (0, f"{NAME} version 1 is the champion already\n")
     assert len(registry.versions(NAME)) == 1
 
 
-def test_rolling_back_restores_the_champion_before(promote, swarmtwin, model):
-    promote(model("rough"))
-    promote(model("mlp"))
+def test_rolling_back_restores_the_champion_before(swarmtwin, model, crown):
+    crown(model("rough"))
+    crown(model("mlp"))
     answer = swarmtwin("promote", "rollback=true")
     assert (answer.status, answer.shown) == (0, f"{NAME}: version 1 is champion again, version 2 no longer\n")
     assert champion_number() == 1
@@ -128,11 +154,11 @@ def with_test_runs(workshop, robots):
 
 
 def test_on_their_own_recording_models_are_compared_on_what_neither_has_seen(
-    promote, model, workshop, robots, with_test_runs
+    promote, model, workshop, robots, with_test_runs, crown
 ):
     runs = [f"run_{number:04d}" for number in range(1, 31)]
     rough, good = with_test_runs(model("rough"), runs[:10]), with_test_runs(model("mlp"), runs[4:14])
-    assert promote(rough).status == 0
+    crown(rough)
     answer = promote(good, "reference")
     assert answer.status == 0
     both = [errors_by_hand(folder, workshop / "reference", robots["mgr"], runs[4:10]) for folder in (good, rough)]
@@ -140,9 +166,9 @@ def test_on_their_own_recording_models_are_compared_on_what_neither_has_seen(
     assert float(found["change"]) == pytest.approx(change_by_hand(*both), abs=0.006)
 
 
-def test_where_one_has_seen_every_run_there_is_no_comparison(promote, model, with_test_runs):
+def test_where_one_has_seen_every_run_there_is_no_comparison(promote, model, with_test_runs, crown):
     runs = [f"run_{number:04d}" for number in range(1, 31)]
-    promote(with_test_runs(model("rough"), runs[:8]))
+    crown(with_test_runs(model("rough"), runs[:8]))
     answer = promote(with_test_runs(model("mlp"), runs[8:14]), "reference")
     assert answer.status == 2
     assert answer.error == (
@@ -155,7 +181,10 @@ def test_where_one_has_seen_every_run_there_is_no_comparison(promote, model, wit
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["candidate=7"], f"models:/{NAME}/7: no such version; there are 1 (@challenger) (@champion)"),
+        (["candidate=7"], f"models:/{NAME}/7: no such version; there are 1 (@champion)"),
+        (["candidate=challenger"], f"models:/{NAME}@challenger: no such version; there are 1 (@champion)"),
+        (["task=collective"], "task=... is of policies: leave it out, or add what=policy"),
+        (["rollback=true", "task=collective"], "task=... is of policies: leave it out, or add what=policy"),
         (["candidate=models:/mur-dynamics/1"], f"no registered model 'mur-dynamics'; registered: {NAME}"),
         (["candidate=nowhere"], "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERSION"),
         (["candidate=rough", "robot=mur"], "rough is a model of robot 'mgr': add robot=mgr"),
@@ -163,8 +192,8 @@ def test_where_one_has_seen_every_run_there_is_no_comparison(promote, model, wit
         (["rollback=true", "robot=mur"], "mur-dynamics has no champion to roll back from; there are none"),
     ],
 )
-def test_a_mistake_is_one_line_and_changes_nothing(promote, swarmtwin, model, options, message):
-    promote(model("mlp"))
+def test_a_mistake_is_one_line_and_changes_nothing(swarmtwin, model, options, message, crown):
+    crown(model("mlp"))
     model("rough")
     answer = swarmtwin("promote", "recording=other_vehicle", *options)
     assert answer.status == 2

@@ -18,7 +18,7 @@ def promote(swarmtwin):
 
 
 def champion_number():
-    champion = registry.champion(NAME)
+    champion = registry.holder(NAME, "champion", "collective")
     return champion and champion.number
 
 
@@ -34,8 +34,10 @@ def test_a_policy_that_stands_still_is_refused_and_one_that_arrives_is_not(promo
     assert champion_number() == 2
 
 
-def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_not(promote, workshop, swarmtwin):
-    assert promote(save_seeker(workshop / "seeker")).status == 0
+def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_not(
+    promote, workshop, swarmtwin, crown
+):
+    crown(save_seeker(workshop / "seeker"), NAME, task="collective")
     worse = promote(save_seeker(workshop / "slow", speed=0.3), "policy_gate.least_success=0")
     assert worse.status == 3
     assert "it may be worse than the champion by more than 5%" in worse.error
@@ -51,26 +53,52 @@ def test_a_policy_that_collides_too_often_is_refused(promote, workshop):
     seeker = save_seeker(workshop / "seeker")
     answer = promote(seeker, "policy_gate.most_collisions=0", "policy_gate.least_success=0")
     assert answer.status == 3
-    assert "collisions are above 0%" in answer.error
+    assert "collisions are not below 0%" in answer.error
 
 
-def test_the_champion_of_another_task_is_not_replaced_by_the_way(promote, workshop):
-    assert promote(save_seeker(workshop / "seeker")).status == 0
+def test_a_champion_for_the_same_task_with_other_settings_is_not_replaced_by_the_way(promote, workshop, crown):
+    crown(save_seeker(workshop / "seeker"), NAME, task="collective")
     other = save_seeker(workshop / "other", reach_mm=260)
     answer = promote(other)
-    assert answer.status == 2
+    assert answer.status == 3
     assert answer.error == (
-        f"swarmtwin promote: {NAME} version 2 is for task 'collective', {NAME} version 1, the champion, for the same "
-        "with reach_mm 250.0 in place of 260.0: add policy_gate.other_task=true to replace it all the same\n"
+        f"swarmtwin promote: {NAME} version 2 is not promoted: it cannot be compared with {NAME} version 1, the "
+        "champion for task 'collective', which has reach_mm 250.0 in place of 260.0: add "
+        "policy_gate.other_settings=true to replace it without a comparison\n"
     )
     assert champion_number() == 1
-    assert promote(other, "policy_gate.other_task=true").status == 0
+    assert promote(other, "policy_gate.other_settings=true").status == 0
     assert champion_number() == 2
 
 
-def test_promoting_the_champion_again_changes_nothing(promote, workshop):
+def test_a_policy_for_another_task_gets_a_champion_of_its_own(promote, swarmtwin, workshop, crown):
+    first = crown(save_seeker(workshop / "seeker"), NAME, task="collective")
+    assert promote(save_seeker(workshop / "other", name="gathering", reach_mm=260)).status == 0
+    assert {v.number: v.aliases for v in registry.versions(NAME)} == {1: ("champion",), 2: ("champion-gathering",)}
+    for version in registry.versions(NAME):
+        registry.challenge(version, None)
+    for options in (("candidate=challenger",), ("rollback=true",)):
+        answer = swarmtwin("promote", "what=policy", *options)
+        role = "champion" if "rollback=true" in options else "challenger"
+        assert (answer.status, answer.error) == (
+            2,
+            f"swarmtwin promote: {NAME} has a {role} for each of 2 tasks: add task=gathering or task=collective\n",
+        )
+    answer = promote("challenger", "task=collective")
+    assert (answer.status, answer.shown) == (0, f"{first} is the champion already\n")
+    answer = promote("models:/mgr-policy@champion", "task=gathering")
+    assert answer.status == 2
+    assert answer.error.endswith(f"not for 'gathering': write models:/{NAME}@champion-gathering\n")
+    answer = swarmtwin("rollout", f"policy=models:/{NAME}@champion", "task=gathering", "output=out")
+    assert answer.status == 2
+    assert answer.error.endswith(f"not for 'gathering': write models:/{NAME}@champion-gathering\n")
+    answer = swarmtwin("rollout", "policy=seeker", "task=gathering", "output=out")
+    assert "seeker is a policy for task 'collective', not for 'gathering'" in answer.error
+
+
+def test_promoting_the_champion_again_changes_nothing(promote, workshop, crown):
     folder = save_seeker(workshop / "seeker")
-    promote(folder)
+    registry.challenge(crown(folder, NAME, task="collective"), None)
     for candidate in (folder, 1, "challenger"):
         answer = promote(candidate)
         assert (answer.status, answer.shown) == (0, f"{NAME} version 1 is the champion already\n")

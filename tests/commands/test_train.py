@@ -97,6 +97,27 @@ def test_an_interrupted_training_leaves_no_model_and_continues_to_the_same_one(s
         assert sorted(run.info.status for run in runs()) == ["FINISHED", "FINISHED", "KILLED"]
 
 
+def test_of_a_sweep_the_best_challenges_whichever_is_last(swarmtwin, workshop):
+    assert swarmtwin("record", "vehicle=1", "runs=60", "steps=12", "seed=9", "output=short_runs").status == 0
+    answer = swarmtwin(
+        *(
+            "train",
+            "-m",
+            "model=mlp",
+            "model.steps=2,150,2",
+            "recording=short_runs",
+            "recipe.batch_size=128",
+            "seeds=1",
+        ),
+        "output=steps-${model.steps}-${hydra:job.num}",
+    )
+    assert answer.status == 0, answer.error
+    said = " ".join(answer.shown.split())
+    assert "mgr-dynamics version 2, its challenger in place of version 1: one-step error -" in said
+    assert "mgr-dynamics version 3; version 2 stays challenger: one-step error +" in said
+    assert registry.find_version("models:/mgr-dynamics@challenger").number == 2
+
+
 def test_a_run_is_tracked_and_its_model_registered_as_challenger(swarmtwin, workshop):
     for seed in (4, 5):
         assert swarmtwin(*QUICK, "model=mlp", f"seed={seed}", "register=true", f"output=seed-{seed}").status == 0

@@ -7,9 +7,10 @@ import pytest
 from diagnosis_factories import made_result, made_session
 
 from swarmtwin.diagnosis.diagnose import diagnose
-from swarmtwin.diagnosis.gains import scored_tracks
+from swarmtwin.diagnosis.gains import not_confirmed, scored_tracks
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
+from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
@@ -88,3 +89,50 @@ def test_the_report_draws_the_recordings_own_walls(tmp_path, monkeypatch):
     save_findings(tmp_path, dataclasses.replace(session, transitions=transitions))
     page.draw_diagnosis(tmp_path, tmp_path)
     assert set(map(str, walls)) == {str(arena)}
+
+
+def gained(after, low, high):
+    return Gain(before=2.0, after=after, low=low, high=high)
+
+
+BETTER, NEITHER, WORSE = gained(1.5, 0.4, 0.6), gained(1.9, -0.1, 0.3), gained(2.4, -0.5, -0.3)
+UNCHANGED = gained(2.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("position", "orientation", "open_loop", "likelihood", "objection"),
+    [
+        (BETTER, NEITHER, NEITHER, WORSE, None),
+        (BETTER, UNCHANGED, NEITHER, WORSE, None),
+        (
+            NEITHER,
+            BETTER,
+            BETTER,
+            BETTER,
+            "the position is not measurably better (2.00 → 1.90 mm, 95 %: -0.10 to 0.30 ",
+        ),
+        (
+            BETTER,
+            WORSE,
+            NEITHER,
+            BETTER,
+            "the orientation is measurably worse (2.00 → 2.40 °, 95 %: -0.50 to -0.30 less)",
+        ),
+        (BETTER, BETTER, WORSE, BETTER, "the open loop is measurably worse (2.00 → 2.40 mm"),
+        (
+            WORSE,
+            WORSE,
+            WORSE,
+            BETTER,
+            "the position is not measurably better (2.00 → 2.40 mm, 95 %: -0.50 to -0.30 less) ",
+        ),
+        (UNCHANGED, UNCHANGED, UNCHANGED, BETTER, None),
+        (UNCHANGED, UNCHANGED, UNCHANGED, NEITHER, "they are not measurably more likely with it"),
+    ],
+)
+def test_held_out_runs_confirm_what_is_measurably_better_and_nowhere_measurably_worse(
+    position, orientation, open_loop, likelihood, objection
+):
+    gain = Gains(position_mm=position, orientation_deg=orientation, open_loop_mm=open_loop)
+    said = not_confirmed(gain, likelihood)
+    assert said == objection if objection is None else said.startswith(objection)

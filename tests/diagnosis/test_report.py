@@ -123,6 +123,11 @@ def test_nobody_must_know_statistics_to_read_what_is_not_folded_away(tmp_path):
         ("unexplained", {}, "partly because commands act 0.15 s late. Something else remains"),
         ("unexplained", {"causes": (), "extension": "learned_residual"}, "and no known cause explains it"),
         ("unexplained", {"causes": (), "extension": "none", "next_recording": None}, "and no known cause explains it"),
+        (
+            "unexplained",
+            {"causes": (), "not_confirmed": "held-out runs do not confirm x"},
+            "explains it: held-out runs do",
+        ),
     ],
 )
 def test_every_verdict_has_its_page_and_loads_nothing(tmp_path, verdict, changes, sentence):

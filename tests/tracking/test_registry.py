@@ -1,39 +1,161 @@
 import multiprocessing
 import shutil
+from pathlib import Path
 
+import mlflow
+import numpy as np
 import pytest
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.challengers import challenge_by_errors
+from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.runs import tracked_run
 
-NAME = "mgr-dynamics"
+NAME, POLICIES = "mgr-dynamics", "mgr-policy"
 FORK = multiprocessing.get_context("fork")
 
 
-@pytest.fixture
-def publish(workplace):
-    """Register a model whose content is `text`, as a command that trained it would."""
+@pytest.fixture(scope="module")
+def empty_store(tmp_path_factory):
+    """A database to copy: making one takes seconds."""
+    database = tmp_path_factory.mktemp("store") / "mlflow.db"
+    mlflow.MlflowClient(f"sqlite:///{database}").search_registered_models()
+    return database
 
-    def register(text):
-        folder = workplace / f"model_{text}"
+
+@pytest.fixture
+def publish(workplace, empty_store):
+    """Register a model whose content is `text`, as a command that trained it would; let it challenge by its errors."""
+
+    shutil.copy(empty_store, workplace)
+
+    def register(text, name=NAME, errors=None, held_out="", **tags):
+        folder = Path.cwd() / f"model_{text}"
         folder.mkdir(exist_ok=True)
         (folder / "model.yaml").write_text(text)
         with tracked_run("dynamics", text, {}) as run:
             source = run.folder(folder, "model")
-        return registry.register(NAME, folder, source, run.run_id, {"model": "mlp"})
+            version = registry.register(name, folder, source, run.run_id, {"model": "mlp", **tags})
+            return challenge_by_errors(run, version, errors, held_out) if errors else version
 
     return register
 
 
-def test_the_newest_version_is_the_challenger_and_its_files_come_back(publish):
+def champion(task=None):
+    return registry.holder(NAME if task is None else POLICIES, "champion", task)
+
+
+def test_versions_are_numbered_and_their_files_come_back(publish):
     first, second = publish("one"), publish("two")
     assert (first.number, second.number) == (1, 2)
-    assert registry.find_version(f"models:/{NAME}@challenger").number == 2
+    assert registry.find_version(f"models:/{NAME}/2").aliases == ()
     assert (registry.model_folder(f"models:/{NAME}/1") / "model.yaml").read_text() == "one"
     assert registry.find_version(f"models:/{NAME}/1").tags["model"] == "mlp"
-    assert registry.champion(NAME) is None
+    assert champion() is None
+
+
+def test_a_version_that_is_not_better_leaves_the_challenger_where_it_is(publish):
+    answers = {"two": (False, "not measurably better"), "three": (True, "measurably better")}
+    assert registry.challenge(publish("one"), None) == f"registered as {NAME} version 1, its challenger"
+    said = [registry.challenge(publish(text), lambda _, answer=answers[text]: answer) for text in answers]
+    assert said == [
+        f"registered as {NAME} version 2; version 1 stays challenger: not measurably better",
+        f"registered as {NAME} version 3, its challenger in place of version 1: measurably better",
+    ]
+    assert registry.holder(NAME, "challenger").number == 3
+
+
+def test_a_challenger_that_came_meanwhile_is_compared_with_as_well(publish):
+    first, second, third = publish("one"), publish("two"), publish("three")
+    registry.challenge(first, None)
+    compared = []
+
+    def compare(challenger):
+        compared.append(challenger.number)
+        if challenger.number == 1:
+            registry.challenge(second, lambda _: (True, "better than the first"))
+        return challenger.number == 1, "better than the first alone"
+
+    assert registry.challenge(third, compare).endswith("; version 2 stays challenger: better than the first alone")
+    assert compared == [1, 2]
+    assert registry.holder(NAME, "challenger").number == 2
+
+
+def test_errors_on_the_same_held_out_runs_decide_who_challenges(publish):
+    rng = np.random.default_rng(0)
+    base = rng.gamma(4, 1, (20, 2))
+
+    def challenge(text, factor, held_out="these", runs=20):
+        error = factor * (base[:runs] + rng.normal(0, 0.05, (runs, 2)))
+        return publish(text, errors=Errors(*error.T, np.full(runs, 30)), held_out=held_out)
+
+    name = f"registered as {NAME} version"
+    assert challenge("first", 1.0) == f"{name} 1, its challenger"
+    assert challenge("worse", 1.1).startswith(f"{name} 2; version 1 stays challenger: one-step error +")
+    assert challenge("equal", 1.0).endswith("not measurably better on the same held-out runs")
+    better = challenge("better", 0.9)
+    assert better.startswith(f"{name} 4, its challenger in place of version 1: one-step error -")
+    assert better.endswith(": measurably better on the same held-out runs")
+    assert challenge("elsewhere", 2.0, "others") == (
+        f"{name} 5, its challenger in place of version 4: not compared, since the two were not measured on the same "
+        "held-out runs"
+    )
+    assert challenge("few", 1.0, "few", 5).endswith("were not measured on the same held-out runs")
+    assert challenge("few again", 2.0, "few", 5).endswith(
+        "not compared (5 held-out runs are too few to judge by: record at least 6)"
+    )
+
+
+def test_policies_of_different_tasks_have_champions_challengers_and_histories_of_their_own(publish):
+    def policy(text, task):
+        return publish(text, POLICIES, task=task)
+
+    for text, task in (("c1", "collective"), ("o1", "obstacle"), ("c2", "collective"), ("o2", "obstacle")):
+        version = policy(text, task)
+        registry.challenge(version, lambda _: (True, "better"))
+        registry.promote(version, "better", champion(task))
+    assert {v.number: v.aliases for v in registry.versions(POLICIES)} == {
+        1: (),
+        2: (),
+        3: ("challenger", "champion"),
+        4: ("challenger-obstacle", "champion-obstacle"),
+    }
+    assert [v.task for v in registry.holders(POLICIES, "champion")] == ["obstacle", "collective"]
+    assert registry.roll_back(POLICIES, "collective") == (3, 1)
+    assert (champion("collective").number, champion("obstacle").number) == (1, 4)
+    with pytest.raises(UserError, match="version 1 is the first champion"):
+        registry.roll_back(POLICIES, "collective")
+    assert registry.roll_back(POLICIES, "obstacle") == (4, 2)
+
+
+def test_the_champion_of_another_task_is_refused_with_the_right_reference(publish):
+    for text, task in (("c", "collective"), ("o", "obstacle")):
+        registry.promote(publish(text, POLICIES, task=task), "good", None)
+    plain = f"models:/{POLICIES}@champion"
+    assert registry.find_version(plain, "collective").number == 1
+    with pytest.raises(UserError, match=r"write models:/mgr-policy@champion-obstacle$"):
+        registry.model_folder(plain, "obstacle")
+    with pytest.raises(UserError, match=r"write models:/mgr-policy@champion$"):
+        registry.model_folder(f"{plain}-obstacle", "collective")
+    with pytest.raises(UserError, match=r"not for 'pair': no policy for 'pair' is champion yet$"):
+        registry.model_folder(plain, "pair")
+
+
+def test_a_copied_store_finds_its_files_beside_itself(publish, workplace, monkeypatch):
+    registry.promote(publish("one"), "good", None)
+    copy = workplace.with_name(f"{workplace.name}, copied")
+    shutil.copytree(workplace, copy)
+    shutil.rmtree(workplace / "mlruns")
+    monkeypatch.chdir(copy)
+    monkeypatch.delenv("MLFLOW_TRACKING_URI")  # MLflow sets it
+    folder = registry.model_folder(f"models:/{NAME}@champion")
+    assert (folder / "model.yaml").read_text() == "one"
+    assert folder.is_relative_to(copy)
+    registry.promote(publish("two"), "better", champion())
+    assert registry.model_folder(f"models:/{NAME}@champion").is_relative_to(copy)
+    assert not (workplace / "mlruns").exists()
 
 
 def test_a_version_is_found_by_its_content(publish, workplace):
@@ -46,14 +168,14 @@ def test_a_version_is_found_by_its_content(publish, workplace):
 
 def test_champions_follow_each_other_and_roll_back_in_order(publish):
     for text in ("one", "two", "three"):
-        registry.promote(publish(text), "better", registry.champion(NAME))
-    assert registry.champion(NAME).number == 3
+        registry.promote(publish(text), "better", champion())
+    assert champion().number == 3
     assert registry.roll_back(NAME) == (3, 2)
     assert registry.roll_back(NAME) == (2, 1)
-    assert registry.champion(NAME).number == 1
+    assert champion().number == 1
     with pytest.raises(UserError, match="version 1 is the first champion: there is none to roll back to"):
         registry.roll_back(NAME)
-    assert registry.champion(NAME).number == 1
+    assert champion().number == 1
 
 
 @pytest.mark.parametrize(
@@ -61,8 +183,8 @@ def test_champions_follow_each_other_and_roll_back_in_order(publish):
     [
         ("models:/mgr", "'models:/mgr' names no model: write models:/NAME@ALIAS or models:/NAME/VERSION"),
         ("models:/mur-dynamics/1", "no registered model 'mur-dynamics'; registered: mgr-dynamics"),
-        ("models:/mgr-dynamics/7", "no such version; there are 1 (@challenger)"),
-        ("models:/mgr-dynamics@champion", "no such version; there are 1 (@challenger)"),
+        ("models:/mgr-dynamics/7", "no such version; there are 1"),
+        ("models:/mgr-dynamics@champion", "no such version; there are 1"),
         ("nowhere", "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERSION"),
     ],
 )
@@ -104,7 +226,7 @@ def test_a_champion_that_was_not_compared_with_is_not_replaced(publish):
     registry.promote(second, "better", first)
     with pytest.raises(UserError, match="version 2 became champion meanwhile: promote mgr-dynamics version 3 again"):
         registry.promote(third, "better than version 1", first)
-    assert registry.champion(NAME).number == 2
+    assert champion().number == 2
 
 
 def promote_until_it_is_champion(number):
@@ -112,7 +234,7 @@ def promote_until_it_is_champion(number):
     version = registry.find_version(f"models:/{NAME}/{number}")
     while True:
         try:
-            registry.promote(version, "better", registry.champion(NAME))
+            registry.promote(version, "better", champion())
             return
         except UserError as error:
             if "meanwhile" not in str(error):
@@ -123,7 +245,7 @@ def test_of_promotions_at_once_none_is_missing_in_the_history(publish):
     numbers = [publish(str(index)).number for index in range(12)]
     processes = [FORK.Process(target=promote_until_it_is_champion, args=(number,)) for number in numbers]
     _at_once(processes)
-    passed = [registry.champion(NAME).number]
+    passed = [champion().number]
     for _ in numbers[1:]:
         passed.append(registry.roll_back(NAME)[1])
     assert sorted(passed) == numbers

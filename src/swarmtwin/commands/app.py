@@ -53,7 +53,7 @@ def run_command(name: str, arguments: list[str]) -> Status:
     os.environ["HYDRA_FULL_ERROR"] = "1"
     signal.signal(signal.SIGTERM, _interrupt)
     _start_logging()
-    arguments = _name_folders(name, arguments)
+    arguments = _spelled_out(name, arguments)
     sys.argv = [f"swarmtwin {name}", *arguments]
     config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
     try:
@@ -100,11 +100,15 @@ def _run_app(module_name: str, config_name: str) -> None:
         raise failures[0]
 
 
-def _name_folders(name: str, arguments: list[str]) -> list[str]:
-    """For `rollout`, turn policy=FOLDER into policy.folder=FOLDER: else Hydra would look for FOLDER in conf/policy/."""
-    if name != "rollout":
+def _spelled_out(name: str, arguments: list[str]) -> list[str]:
+    """Turn policy=FOLDER and task=NAME into policy.folder= and task.name=: Hydra would look for them in conf/policy/.
+
+    So it is where a policy is asked for that was learned, and for which task it was: not where one is to be learned.
+    """
+    if name not in ("rollout", "promote"):
         return arguments
-    return [re.sub(r"^policy=", "policy.folder=", argument) for argument in arguments]
+    spelled = {"policy": "policy.folder", "task": "task.name"}
+    return [re.sub(r"^(policy|task)=", lambda short: f"{spelled[short[1]]}=", argument) for argument in arguments]
 
 
 def _system_remedy(error: OSError) -> str | None:

@@ -14,6 +14,7 @@ from swarmtwin.diagnosis.reference_inputs import reference_for
 from swarmtwin.diagnosis.report.page import draw_diagnosis
 from swarmtwin.diagnosis.result import DiagnosedSession, DiagnosisResult, Gain
 from swarmtwin.diagnosis.settings import DiagnosisSettings
+from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, output_folder
@@ -22,6 +23,8 @@ from swarmtwin.learning.progress_bars import stage_bar
 from swarmtwin.robot import Robot, Seed, SituationPart, StrictModel
 from swarmtwin.studies.tracked_inputs import model_input, recording_input
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.challengers import challenge_by_errors
+from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
 
@@ -116,6 +119,8 @@ def _track(tracked: TrackedRun, output: Path, diagnosed: DiagnosedSession) -> No
 def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: DiagnosedSession) -> str:
     if diagnosed.extended is None:
         return "the simulation stands as it is"
+    if diagnosed.result.not_confirmed:
+        return f"the simulation stands as it is, nothing is registered: {diagnosed.result.not_confirmed}"
     if not options.register_model:
         return "extended simulation not registered"
     folder = output / EXTENDED
@@ -124,7 +129,9 @@ def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: 
     causes = ", ".join(cause.name for cause in diagnosed.result.causes) or "learned residual"
     tags = {**provenance.tags("extended"), "causes": causes}
     version = registry.register(f"{options.robot.name}-dynamics", folder, kept, tracked.run_id, tags)
-    return f"extended simulation registered as {version}, its challenger"
+    held_out = diagnosed.transitions.where(diagnosed.held_out)
+    errors = Errors.by_run(one_step_errors(diagnosed.extended, held_out), held_out.run)
+    return f"extended simulation {challenge_by_errors(tracked, version, errors, held_out.digest())}"
 
 
 def _gains(diagnosis: DiagnosisResult) -> dict[str, Gain]:

@@ -1,4 +1,4 @@
-"""`swarmtwin learn`: a policy is learned in the simulated world, tracked, and registered as challenger."""
+"""`swarmtwin learn`: a policy is learned in the simulated world, tracked and registered; a better one challenges."""
 
 import shutil
 import time
@@ -16,8 +16,9 @@ from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.learned_folder import origin_of, save_learned
-from swarmtwin.policies.policy_folder import PolicyProvenance
+from swarmtwin.policies.policy_folder import PolicyProvenance, StoredPolicy, load_policy
 from swarmtwin.policies.reward_plots import draw_learning
+from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.policies.training import (
     PolicyJob,
     Schedule,
@@ -26,9 +27,13 @@ from swarmtwin.policies.training import (
     task_in,
 )
 from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
+from swarmtwin.tracking.gate import Trials, judge_challenging_policy
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.rollout import NEVER, play
 from swarmtwin.world.task import Task, task_config
 
 
@@ -85,7 +90,7 @@ def run(options: Options) -> None:
         if options.register_model:
             tags = provenance.tags(task.config.name)
             version = registry.register(f"{options.robot.name}-policy", output, kept, tracked.run_id, tags)
-            registered = f"registered as {version}, its challenger"
+            registered = _challenge(options, version, output, task, simulation)
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
 
@@ -98,6 +103,29 @@ def _simulation(options: Options) -> tuple[str, Path]:
     if not folder.is_dir():
         raise UserError(f"no simulation in {folder}: run `dvc repro` first, or give simulation=...")
     return str(folder), folder
+
+
+def _challenge(options: Options, version: registry.Version, output: Path, task: Task, simulation: Path) -> str:
+    """Make a policy challenger if it is measurably better, in the simulation that it was learned in; say what was done.
+
+    Both are rolled out from the same starts, none of which any policy was learned or chosen by.
+    """
+    scenarios = draw_scenarios(task, options.scenes, "challenge", seed=0)
+    loaded = load_simulation(simulation)
+
+    def trials(policy: StoredPolicy) -> Trials:
+        motion = SimulatedMotion(loaded, len(scenarios), task.vehicles, options.sampled, seed=0)
+        rollout = play(task, motion, scenarios, policy.policy.act)
+        return Trials(rollout.success, rollout.collided_step != NEVER, rollout.mean_reward)
+
+    def compare(challenger: registry.Version) -> tuple[bool, str]:
+        rival = load_policy(challenger.folder(), options.robot)
+        if rival.task != task.config:
+            return True, "not compared, since its task has other settings"
+        verdict = judge_challenging_policy(trials(load_policy(output)), trials(rival))
+        return verdict.passed, str(verdict)
+
+    return registry.challenge(version, compare)
 
 
 def _jobs(

@@ -6,9 +6,10 @@ from typing import Annotated
 from pydantic import Field
 from rich.console import Console
 
+from swarmtwin.errors import UserError
+from swarmtwin.policies.policy_folder import TaskName
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.studies.promotion import PolicyGate, promote
-from swarmtwin.tracking import registry
+from swarmtwin.studies.promotion import PolicyGate, promote, roll_back
 from swarmtwin.tracking.models import ModelKind
 
 
@@ -19,6 +20,8 @@ class Options(StrictModel):
     what: ModelKind
     candidate: Annotated[str, Field(coerce_numbers_to_str=True)]
     recording: Path
+    baseline: Path | None
+    task: TaskName
     policy_gate: PolicyGate
     rollback: bool
 
@@ -30,10 +33,18 @@ def run(options: Options) -> None:
         RefusedError: the gate refuses.
         UserError: there is no such candidate, nothing to measure it on, or no champion before.
     """
+    if options.what == "dynamics" and options.task.name is not None:
+        raise UserError("task=... is of policies: leave it out, or add what=policy")
     if options.rollback:
-        name = f"{options.robot.name}-{options.what}"
-        demoted, restored = registry.roll_back(name)
-        answer = f"{name}: version {restored} is champion again, version {demoted} no longer"
+        answer = roll_back(options.what, options.robot, options.task.name)
     else:
-        answer = promote(options.what, options.candidate, options.robot, options.recording, options.policy_gate)
+        answer = promote(
+            options.what,
+            options.candidate,
+            options.robot,
+            options.recording,
+            options.baseline,
+            options.task.name,
+            options.policy_gate,
+        )
     Console().print(answer, highlight=False)

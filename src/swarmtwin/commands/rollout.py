@@ -8,7 +8,7 @@ from rich.console import Console
 
 from swarmtwin.files import check_output, new_folder
 from swarmtwin.learning.device import Device
-from swarmtwin.policies.policy_folder import load_policy
+from swarmtwin.policies.policy_folder import TaskName, load_policy
 from swarmtwin.policies.rollout_comparison import check_count, metrics_of, tracked_figures
 from swarmtwin.policies.rollout_folder import save_rollout
 from swarmtwin.policies.rollout_plots import draw_rollout
@@ -33,6 +33,7 @@ class Options(StrictModel):
 
     robot: Robot
     policy: ModelFolder
+    task: TaskName
     simulation: str | None
     on: Annotated[tuple[MotionName, ...], Field(min_length=1)]
     vehicles: Vehicles
@@ -57,9 +58,9 @@ def run(options: Options) -> None:
     """
     check_count(options.count)
     settings = options.model_dump(mode="json")
-    folder_of_policy = registry.model_folder(options.policy.folder)
+    folder_of_policy = registry.model_folder(options.policy.folder, options.task.name)
     check_output(options.output, "rollout", options.overwrite, [folder_of_policy])
-    policy = load_policy(folder_of_policy, options.robot)
+    policy = load_policy(folder_of_policy, options.robot, options.task.name)
     name = f"{options.robot.name}-{policy.task.name}"
     given = model_input(folder_of_policy, "policy")
     with tracked_run("transfer", f"rollout {name}", settings, [given], options.seed) as tracked:

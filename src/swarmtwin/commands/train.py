@@ -1,4 +1,4 @@
-"""`swarmtwin train`: a dynamics model learns from transitions, is tracked, and registered as challenger."""
+"""`swarmtwin train`: a dynamics model learns from transitions, is tracked and registered; a better one challenges."""
 
 import shutil
 import time
@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin.dynamics.error_plots import draw_training
+from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.dynamics.model_config import ModelConfig, model_config
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.trained_folder import TrainingData, provenance_of, save_trained
@@ -21,6 +22,8 @@ from swarmtwin.learning.recipe import Recipe
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.studies.tracked_inputs import split_inputs
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.challengers import challenge_by_errors
+from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions import SplitOptions, Transitions
 from swarmtwin.transitions.inputs import Vehicles
@@ -86,7 +89,9 @@ def run(options: Options) -> None:
         if options.register_model:
             registered_name = f"{options.robot.name}-dynamics"
             version = registry.register(registered_name, output, kept, tracked.run_id, provenance.tags(config.name))
-            registered = f"registered as {version}, its challenger"
+            validation = data.transitions.part("validation")
+            errors = Errors.by_run(one_step_errors(trained.dynamics, validation), validation.run)
+            registered = challenge_by_errors(tracked, version, errors, validation.digest())
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
 

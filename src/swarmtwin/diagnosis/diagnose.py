@@ -9,16 +9,18 @@
    `next_recording`, `result`; pictures in `report/`).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from swarmtwin.diagnosis.cause_report import reported_causes
 from swarmtwin.diagnosis.cause_search import Progress
-from swarmtwin.diagnosis.gains import Errors, gains, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.likelihood import LikelihoodModel
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.residual_analysis import DependenceTests, analyse_residual, find_causes
-from swarmtwin.diagnosis.result import DiagnosedSession, DiagnosisResult, Extension
+from swarmtwin.diagnosis.result import Cause, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation import Simulation
 
@@ -66,11 +68,18 @@ def diagnose(
     errors = Errors.of(simulation, scored, tracks)
     extended_errors = Errors.of(extended, scored, tracks) if extended else errors
     plan, drive = next_recording(reference, model, analysis, seed)
+    gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
+    objection = None
+    if extended:
+        unfitted = LikelihoodModel.of_measured(reference, session.where(held_out))
+        likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
+        objection = not_confirmed(gain, likelihood)
+    named = reported_causes(model, analysis, rng)
     result = DiagnosisResult(
-        verdict=analysis.verdict,
-        causes=reported_causes(model, analysis, rng),
+        verdict="unexplained" if objection else analysis.verdict,
+        causes=() if objection else named,
         depends_on=tuple(test.part for test in analysis.before if test.found),
-        gain=gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed)),
+        gain=gain,
         next_recording=plan,
         left_over=analysis.left_over,
         tests=tuple(analysis.before),
@@ -79,6 +88,7 @@ def diagnose(
         runs={"fitted": model.session.runs, "held_out": len(np.unique(scored.run))},
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
+        not_confirmed=_with_names(objection, named) if objection else None,
         seed=seed,
     )
     whole = LikelihoodModel(reference.base, reference.noise, session, settings=reference.settings)
@@ -95,6 +105,12 @@ def diagnose(
         runs_after=extended_errors.open_loop,
         next_drive=drive,
     )
+
+
+def _with_names(objection: str, causes: Sequence[Cause]) -> str:
+    """Say what it was that held-out runs do not confirm, and why."""
+    fitted = " and ".join(cause.name.replace("_", " ") for cause in causes) or "the extension"
+    return f"held-out runs do not confirm {fitted}: {objection}"
 
 
 def _tell(progress: Progress | None, stage: str) -> None:

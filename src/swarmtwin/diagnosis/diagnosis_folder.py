@@ -50,11 +50,11 @@ def extension_provenance(
 
 
 def save_diagnosis(folder: Path, diagnosed: DiagnosedSession, provenance: Provenance) -> None:
-    """Write what is found and the residuals, and, if there are any, the next drive and the extended simulation."""
+    """Write what is found and the residuals, and, if there are any, the next drive and a confirmed extension."""
     save_findings(folder, diagnosed)
     if diagnosed.next_drive is not None:
         columns = list(diagnosed.simulation.robot.command_columns)
         pd.DataFrame(diagnosed.next_drive, columns=columns).to_csv(folder / DRIVE_FILE, index=False)
-    if diagnosed.extended is not None:
+    if diagnosed.extended is not None and not diagnosed.result.not_confirmed:
         (folder / EXTENDED).mkdir()
         save_extended(folder / EXTENDED, diagnosed.extended, provenance.model_dump(mode="json"))

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
+from swarmtwin.diagnosis.likelihood import LikelihoodModel
 from swarmtwin.diagnosis.result import Gain, Gains
-from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.geometry import orientation_error_rad, position_error_mm
+from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.simulation.open_loop import OpenLoop, open_loop
 from swarmtwin.simulation.simulation import Simulation
@@ -28,10 +28,7 @@ class Errors:
     @classmethod
     def of(cls, simulation: Simulation, transitions: Transitions, tracks: list[Track]) -> "Errors":
         """Predict transitions one by one, and whole tracks."""
-        predicted, measured = predict(simulation, transitions), transitions.displacement
-        turned_rad = orientation_error_rad(predicted, measured)
-        one_step = np.column_stack([position_error_mm(predicted, measured), np.degrees(turned_rad)])
-        return cls(one_step, tuple(open_loop(simulation, tracks)))
+        return cls(one_step_errors(simulation, transitions), tuple(open_loop(simulation, tracks)))
 
 
 def scored_tracks(measured: Recording, believable: Transitions, scored: Transitions) -> list[Track]:
@@ -81,6 +78,39 @@ def gains(before: Errors, after: Errors, run: np.ndarray, draws: int, rng: np.ra
         orientation_deg=orientation,
         open_loop_mm=_gain(first[known], second[known], loop_run[known], draws, rng),
     )
+
+
+def likelihood_gain(unfitted: LikelihoodModel, extended: Simulation, draws: int, rng: np.random.Generator) -> Gain:
+    """Compare how unlikely a held-out transition is without and with mechanisms: negative log-likelihood, nats."""
+    before, after = (-unfitted.evaluate(mechanisms).log_likelihood for mechanisms in ((), extended.mechanisms))
+    return _gain(before, after, unfitted.session.run, draws, rng)
+
+
+def not_confirmed(gain: Gains, likelihood: Gain) -> str | None:
+    """Say why held-out runs do not confirm an extension; None where they do.
+
+    They do if the position after one period is measurably better, the whole 95 % interval of its gain above zero, and
+    neither orientation nor open loop is measurably worse. Where the likeliest motion stays as it was, as with commands
+    that are lost now and then, no error can fall, and the held-out runs must be measurably more likely instead.
+
+    Args:
+        gain: of the extension.
+        likelihood: likewise, of the negative log-likelihood.
+    """
+    position, orientation, open_loop = gain.position_mm, gain.orientation_deg, gain.open_loop_mm
+    if all(one.before == one.after for one in (position, orientation, open_loop)):
+        return None if likelihood.low > 0 else "they are not measurably more likely with it"
+    faults = []
+    if position.low <= 0:
+        faults.append(f"the position is not measurably better ({_told(position, 'mm')})")
+    for name, one, unit in (("orientation", orientation, "°"), ("open loop", open_loop, "mm")):
+        if one.high < 0 and one.after > one.before:
+            faults.append(f"the {name} is measurably worse ({_told(one, unit)})")
+    return " and ".join(faults) or None
+
+
+def _told(gain: Gain, unit: str) -> str:
+    return f"{gain.before:.2f} → {gain.after:.2f} {unit}, 95 %: {gain.low:.2f} to {gain.high:.2f} less"
 
 
 def _gain(before: np.ndarray, after: np.ndarray, run: np.ndarray, draws: int, rng: np.random.Generator) -> Gain:

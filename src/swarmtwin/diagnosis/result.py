@@ -126,8 +126,8 @@ class DiagnosisResult(StrictModel):
     """The content of `diagnosis.json`.
 
     Attributes:
-        verdict: `explained`: the causes explain what can be explained; `no_gap`: nothing is wrong; `unexplained`:
-            something is wrong that the catalogue does not explain, or not all of it.
+        verdict: `explained`: the causes explain what can be explained, which held-out runs confirm; `no_gap`: nothing
+            is wrong; `unexplained`: something is wrong that the catalogue does not explain, or not all of it.
         causes: by share of the gap, largest first.
         depends_on: what the simulation's residual depends on, also where no cause explains it.
         gain: on held-out runs.
@@ -139,6 +139,8 @@ class DiagnosisResult(StrictModel):
         runs: measured runs: fitted to, held out.
         transitions: measured transitions: used, set aside because the reference never saw such commands.
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
+        not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named. Null
+            where they do, or where there is none.
         seed: of everything random.
         format: changes when older versions cannot read the file.
     """
@@ -155,6 +157,7 @@ class DiagnosisResult(StrictModel):
     runs: dict[str, int]
     transitions: dict[str, int]
     extension: Extension
+    not_confirmed: str | None = None
     seed: int
     format: Literal[1] = 1
 
@@ -166,7 +169,8 @@ class DiagnosedSession:
     Attributes:
         result: what it says.
         simulation: the simulation that was examined.
-        extended: the simulation with the mechanisms found, or with a learned residual; None where nothing is wrong.
+        extended: the simulation with the mechanisms found, or with a learned residual, whether or not held-out runs
+            confirm it; None where nothing is wrong.
         transitions: the N measured transitions that were looked at.
         held_out: (N,) those that nothing was fitted to.
         residual_before: (N, 3) measured minus simulated displacement (forward, left, turn), each divided by the

@@ -63,6 +63,13 @@ def predict(dynamics: OneStepModel, transitions: Transitions) -> np.ndarray:
     return dynamics.predict(Situation.from_transitions(transitions, dynamics.inputs)).numpy().astype(float)
 
 
+def one_step_errors(dynamics: OneStepModel, transitions: Transitions) -> np.ndarray:
+    """Return the errors (N, 2) of predictions against what was measured: position in mm, orientation in degrees."""
+    predicted, measured = predict(dynamics, transitions), transitions.displacement
+    turned_rad = orientation_error_rad(predicted, measured)
+    return np.column_stack([position_error_mm(predicted, measured), np.degrees(turned_rad)])
+
+
 def one_step(dynamics: OneStepModel, transitions: Transitions) -> ErrorFigure:
     """Compare predictions with what was measured."""
     return ErrorFigure.between(predict(dynamics, transitions), transitions.displacement)

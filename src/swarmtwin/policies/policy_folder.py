@@ -75,6 +75,12 @@ class PolicyProvenance(StrictModel):
         }
 
 
+class TaskName(StrictModel):
+    """The task that a policy must be for; task=X is short for task.name=X. None: whichever it is for."""
+
+    name: str | None
+
+
 DESCRIPTION = "policy.yaml"
 
 
@@ -151,11 +157,11 @@ def save_policy(folder: Path, policy: Policy, task: TaskConfig, arena: Arena, pr
     POLICY_FOLDER.save(folder, description, policy.state_dict())
 
 
-def load_policy(folder: Path, robot: Robot | None = None) -> StoredPolicy:
-    """Load a policy, of `robot` where one is given; nothing in the folder is executed.
+def load_policy(folder: Path, robot: Robot | None = None, task_name: str | None = None) -> StoredPolicy:
+    """Load a policy, of `robot` and for the task `task_name` where they are given; nothing in the folder is executed.
 
     Raises:
-        UserError: a file is missing, damaged, does not belong to the other, or the policy is of another robot.
+        UserError: a file is missing, damaged, does not belong to the other, or the policy is of another robot or task.
     """
     folder = Path(folder)
     path = folder / DESCRIPTION
@@ -163,6 +169,8 @@ def load_policy(folder: Path, robot: Robot | None = None) -> StoredPolicy:
     if robot is not None:
         _check_robot(folder, description.robot, robot)
     task = task_config(description.task, f"{path}: task")
+    if task_name not in (None, task.name):
+        raise UserError(f"{folder} is a policy for task {task.name!r}, not for {task_name!r}: name another")
     arena = description.arena_mm or description.robot.arena_mm
     observed = task.build(description.robot, arena).observation_names
     if observed != description.observation:

@@ -12,7 +12,7 @@ from swarmtwin.world.rollout import NEVER, Rollout, RolloutFigures, figures_of
 from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task
 
-Purpose = Literal["evaluation", "rollout", "gate"]
+Purpose = Literal["evaluation", "challenge", "rollout", "gate"]
 
 MOTION_NAMES = {"simulation": "simulation", "stand_in": "stand-ins"}
 """What people call that which moves the vehicles."""

@@ -1,19 +1,22 @@
 """Promotion: a registered model becomes champion if it is measurably better, or for policies safe enough, than before.
 
-Dynamics models are compared by their one-step errors on runs that neither has seen; policies by what they do on
-stand-ins from the same starts. The statistics of both gates stand in `tracking/gate.py`.
+Dynamics models are compared by their one-step errors on runs that neither has seen: with the champion, and where there
+is none yet with the robot's kinematic model, fitted to what the candidate learned from. Policies are compared by what
+they do on stand-ins from the same starts, each with the champion of its own task. The statistics of both gates stand in
+`tracking/gate.py`.
 """
 
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
-from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.dynamics.model_folder import model_name
+from swarmtwin.dynamics.evaluation import one_step_errors
+from swarmtwin.dynamics.model_folder import load_evidence, model_name
+from swarmtwin.dynamics.plain_baseline import fit_kinematics
+from swarmtwin.dynamics.predictor import OneStepModel
+from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import RefusedError, UserError
-from swarmtwin.geometry import orientation_error_rad, position_error_mm
 from swarmtwin.policies.policy_folder import StoredPolicy, load_policy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.recordings.recording import Recording
@@ -24,8 +27,8 @@ from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import gate, registry
 from swarmtwin.tracking.models import ModelKind
 from swarmtwin.tracking.runs import tracked_run
-from swarmtwin.transitions import Transitions, from_recording
-from swarmtwin.transitions.inputs import Vehicles, read_vehicles
+from swarmtwin.transitions import Transitions, from_recording, load_preparation
+from swarmtwin.transitions.inputs import Vehicles, prepared_transitions, read_vehicles
 from swarmtwin.world.rollout import NEVER
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -39,9 +42,9 @@ class PolicyGate(StrictModel):
         rollouts: how many starts.
         seed: of the starts.
         least_success: share of the roll-outs that must succeed.
-        most_collisions: largest share in which vehicles may collide.
+        most_collisions: the share in which vehicles collide must be below this.
         margin: how much less success than the champion's can be put up with, as a share of the roll-outs.
-        other_task: whether the champion may be one for another task.
+        other_settings: whether the champion may be one for the same task with other settings, not compared with.
     """
 
     vehicles: Vehicles
@@ -50,10 +53,18 @@ class PolicyGate(StrictModel):
     least_success: Share
     most_collisions: Share
     margin: Share
-    other_task: bool
+    other_settings: bool
 
 
-def promote(kind: ModelKind, candidate: str, robot: Robot, recording: Path, policy_gate: PolicyGate) -> str:
+def promote(
+    kind: ModelKind,
+    candidate: str,
+    robot: Robot,
+    recording: Path,
+    baseline: Path | None,
+    task: str | None,
+    policy_gate: PolicyGate,
+) -> str:
     """Make a model the champion if it passes its gate; return what was found, as a sentence.
 
     Args:
@@ -61,20 +72,22 @@ def promote(kind: ModelKind, candidate: str, robot: Robot, recording: Path, poli
         candidate: `challenger`, a version's number, `models:/NAME/VERSION`, or a model folder, which is registered.
         robot: whose model it is.
         recording: what dynamics models are measured on.
+        baseline: transitions that the plain rival of a first champion is fitted to; None: those that it learned from.
+        task: of a policy; None: whatever the candidate is for.
         policy_gate: what a policy must show.
 
     Raises:
         RefusedError: the gate refuses it.
         UserError: there is no such candidate, or nothing to measure it on.
     """
-    version = _find_candidate(kind, candidate, robot)
-    champion = registry.champion(version.name)
+    version = _find_candidate(kind, candidate, robot, task)
+    champion = registry.holder(version.name, "champion", version.task)
     if champion and champion.number == version.number:
         return f"{version} is the champion already"
     if kind == "dynamics":
-        verdict: gate.DynamicsVerdict | gate.PolicyVerdict = judge_dynamics(version, champion, robot, recording)
-        rival = f"than {champion}" if champion else "than predicting the mean displacement (there is no champion yet)"
-        reason = f"{verdict} {rival} on {recording}"
+        verdict: gate.DynamicsVerdict | gate.PolicyVerdict
+        verdict, rival = judge_dynamics(version, champion, robot, recording, baseline)
+        reason = f"{verdict} than {rival} on {recording}"
     else:
         verdict = judge_policies(version, champion, robot, policy_gate)
         reason = str(verdict)
@@ -85,15 +98,38 @@ def promote(kind: ModelKind, candidate: str, robot: Robot, recording: Path, poli
     return f"{version} is champion: {reason}"
 
 
-def _find_candidate(kind: ModelKind, candidate: str, robot: Robot) -> registry.Version:
+def roll_back(kind: ModelKind, robot: Robot, task: str | None) -> str:
+    """Make the champion before champion again, of a policy that of its task; return what was done.
+
+    Raises:
+        UserError: there is no champion or none before it, or several tasks have one and none is named.
+    """
+    name = f"{robot.name}-{kind}"
+    champion = _only_holder(name, "champion", task)
+    demoted, restored = registry.roll_back(name, champion.task if champion else task)
+    return f"{name}: version {restored} is champion again, version {demoted} no longer"
+
+
+def _only_holder(name: str, role: registry.Role, task: str | None) -> registry.Version | None:
+    """Return the challenger or champion of a task, or, where none is named, of the only task that has one."""
+    if task is not None:
+        return registry.holder(name, role, task)
+    found = registry.holders(name, role)
+    if len(found) > 1:
+        tasks = " or ".join(f"task={version.task}" for version in found)
+        raise UserError(f"{name} has a {role} for each of {len(found)} tasks: add {tasks}")
+    return found[0] if found else None
+
+
+def _find_candidate(kind: ModelKind, candidate: str, robot: Robot, task: str | None) -> registry.Version:
     """Return the version meant; a folder that is no version yet is registered first."""
     name = f"{robot.name}-{kind}"
-    if candidate == registry.CHALLENGER:
-        return registry.find_version(f"models:/{name}@{candidate}")
+    if candidate == "challenger":
+        return _only_holder(name, "challenger", task) or registry.find_version(f"models:/{name}@{candidate}", task)
     if candidate.isdigit():
-        return registry.find_version(f"models:/{name}/{candidate}")
+        return registry.find_version(f"models:/{name}/{candidate}", task)
     if candidate.startswith("models:"):
-        version = registry.find_version(candidate)
+        version = registry.find_version(candidate, task)
         if version.name != name:
             noun = {"dynamics": "dynamics model", "policy": "policy"}[kind]
             raise UserError(f"{candidate} is no {noun} of robot {robot.name!r}: add robot=... or what=...")
@@ -103,7 +139,7 @@ def _find_candidate(kind: ModelKind, candidate: str, robot: Robot) -> registry.V
         _, provenance = load_simulation(folder, robot)
         tags, seed = provenance.tags(model_name(folder)), provenance.seed
     else:
-        policy = load_policy(folder, robot)
+        policy = load_policy(folder, robot, task)
         tags, seed = policy.provenance.tags(policy.task.name), policy.provenance.seed
     if known := registry.version_of(name, folder):
         return known
@@ -114,43 +150,65 @@ def _find_candidate(kind: ModelKind, candidate: str, robot: Robot) -> registry.V
 
 
 def judge_dynamics(
-    candidate: registry.Version, champion: registry.Version | None, robot: Robot, recording: Path
-) -> gate.DynamicsVerdict:
-    """Compare both on what neither has seen; without a champion, compare with always predicting the mean.
+    candidate: registry.Version,
+    champion: registry.Version | None,
+    robot: Robot,
+    recording: Path,
+    baseline: Path | None,
+) -> tuple[gate.DynamicsVerdict, str]:
+    """Compare both on what neither has seen, or, without a champion, with the plain baseline; name the rival, too.
 
     Raises:
-        UserError: the recording is at fault, or no run of it is unseen by both.
+        UserError: the recording is at fault, no run of it is unseen by both, or there is nothing to fit a baseline to.
     """
     measured = read_vehicles(recording, robot, None)
-    simulation, provenance = load_simulation(candidate.folder(), robot)
+    folder = candidate.folder()
+    simulation, provenance = load_simulation(folder, robot)
     unseen = provenance.unseen_part(measured)
+    rival: OneStepModel
     if champion:
         rival, rival_provenance = load_simulation(champion.folder(), robot)
-        unseen = _common(unseen, rival_provenance.unseen_part(measured))
+        unseen, name = _common(unseen, rival_provenance.unseen_part(measured)), str(champion)
         if not unseen.tracks:
             raise UserError(
                 f"{candidate} and {champion} were trained on recording {provenance.recording!r}, and no run of it is "
                 "unseen by both: add recording=... with another one"
             )
-    transitions, _ = from_recording(unseen)
-    if champion:
-        usual = predict(rival, transitions)
     else:
-        usual = np.broadcast_to(transitions.displacement.mean(axis=0), (len(transitions), 3))
-    candidate_errors = _errors(predict(simulation, transitions), transitions)
-    return gate.judge_dynamics(candidate_errors, _errors(usual, transitions), transitions.run)
+        fitted_to, where = _baseline_transitions(folder, provenance, robot, baseline, unseen)
+        rival = fit_kinematics(fitted_to)
+        name = f"the kinematic model fitted to {where} (there is no champion yet)"
+    transitions, _ = from_recording(unseen)
+    errors = [gate.Errors.by_run(one_step_errors(model, transitions), transitions.run) for model in (simulation, rival)]
+    return gate.judge_dynamics(*errors), name
+
+
+def _baseline_transitions(
+    folder: Path, provenance: Provenance, robot: Robot, chosen: Path | None, judged: Recording
+) -> tuple[Transitions, str]:
+    """Return what the plain baseline is fitted to, and its name: nothing of it is judged on.
+
+    That is the training split of `chosen`, or of the pipeline's transitions where the candidate's recording is theirs;
+    or else the validation runs that lie beside the candidate.
+    """
+    prepared = chosen or Path("artifacts/transitions") / robot.name
+    if chosen or (prepared.is_dir() and load_preparation(prepared).digest == provenance.digest):
+        transitions, preparation = prepared_transitions(prepared, robot)
+        if {track.digest() for track in judged.tracks} & set(preparation.learned):
+            raise UserError(f"baseline {prepared} holds runs that are judged on: add recording=... with another one")
+        return transitions.part("train"), f"{prepared}"
+    evidence = load_evidence(folder)
+    if evidence is None or not len(evidence.part("validation")):
+        raise UserError(
+            f"{folder} carries no measured transitions to fit the kinematic model to, the rival of a first champion: "
+            "add baseline=DIR, what swarmtwin prepare made of the recording that it learned from"
+        )
+    return evidence.part("validation"), "its validation runs"
 
 
 def _common(first: Recording, second: Recording) -> Recording:
     kept = {(track.run, track.vehicle) for track in second.tracks}
     return first.where(lambda track: (track.run, track.vehicle) in kept)
-
-
-def _errors(predicted: np.ndarray, transitions: Transitions) -> gate.Errors:
-    return gate.Errors(
-        position_error_mm(predicted, transitions.displacement),
-        np.degrees(orientation_error_rad(predicted, transitions.displacement)),
-    )
 
 
 def judge_policies(
@@ -159,15 +217,17 @@ def judge_policies(
     """Roll out both on stand-ins from the same starts, and judge.
 
     Raises:
-        UserError: the champion is for another task, or there are too few roll-outs.
+        RefusedError: the champion's task has other settings.
+        UserError: there are too few roll-outs.
     """
     policy = load_policy(candidate.folder(), robot)
     rival = load_policy(champion.folder(), robot) if champion else None
     if rival and rival.task != policy.task:
-        if not asked.other_task:
-            raise UserError(
-                f"{candidate} is for task {policy.task.name!r}, {champion}, the champion, for "
-                f"{_task_difference(rival, policy)}: add policy_gate.other_task=true to replace it all the same"
+        if not asked.other_settings:
+            raise RefusedError(
+                f"{candidate} is not promoted: it cannot be compared with {champion}, the champion for task "
+                f"{policy.task.name!r}, which has {_task_difference(rival, policy)}: add "
+                "policy_gate.other_settings=true to replace it without a comparison"
             )
         rival = None
     return gate.judge_policy(
@@ -180,12 +240,10 @@ def judge_policies(
 
 
 def _task_difference(rival: StoredPolicy, policy: StoredPolicy) -> str:
-    """Name the champion's task; where the name is the same, say which of its settings differs."""
-    if rival.task.name != policy.task.name:
-        return repr(rival.task.name)
+    """Say which setting of the champion's task is another."""
     theirs, ours = rival.task.model_dump(), policy.task.model_dump()
     setting = next(name for name in ours if ours[name] != theirs.get(name))
-    return f"the same with {setting} {theirs.get(setting)!r} in place of {ours[setting]!r}"
+    return f"{setting} {theirs.get(setting)!r} in place of {ours[setting]!r}"
 
 
 def _trials(policy: StoredPolicy, asked: PolicyGate) -> gate.Trials:
@@ -193,4 +251,4 @@ def _trials(policy: StoredPolicy, asked: PolicyGate) -> gate.Trials:
     vehicles = other_vehicles(asked.vehicles, task)
     scenario = draw_scenarios(task, asked.rollouts, "gate", asked.seed)
     rollout = on_stand_ins(policy, vehicles, scenario, asked.seed)
-    return gate.Trials(rollout.success, rollout.collided_step != NEVER)
+    return gate.Trials(rollout.success, rollout.collided_step != NEVER, rollout.mean_reward)

@@ -1,10 +1,18 @@
-"""Registered models: versions of `<robot>-dynamics`, the newest as `challenger`, the promoted one as `champion`."""
+"""Registered models: versions of `<robot>-dynamics` and `<robot>-policy`, and who is `challenger` and who `champion`.
+
+Every model is registered as a version; `challenger` is the one that is measurably better than the challenger before,
+or cannot be compared with it, `champion` the one that passed the gate. Policies of different tasks have champions,
+challengers and histories of their own: the plain aliases belong to the task that had one first, those of any other task
+are called after it, `champion-obstacle`. So `models:/mgr-policy@champion` stays the name of one task's policy, whatever
+else is learned later, and whoever says which task is meant is refused that of another.
+"""
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import mlflow
 from mlflow.exceptions import MlflowException
@@ -16,7 +24,7 @@ from swarmtwin.tracking.datasets import files_digest
 from swarmtwin.tracking.models import model_data
 from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
-CHALLENGER, CHAMPION = "challenger", "champion"
+Role = Literal["challenger", "champion"]
 FORMER_CHAMPIONS = "former_champions"
 FILES_DIGEST = "files.digest"
 REFERENCE = re.compile(r"^models:/(?P<name>[^/@]+)(@(?P<alias>[^/@]+)|/(?P<number>\d+))$")
@@ -24,13 +32,28 @@ REFERENCE = re.compile(r"^models:/(?P<name>[^/@]+)(@(?P<alias>[^/@]+)|/(?P<numbe
 
 @dataclass(frozen=True)
 class Version:
-    """One version of a registered model: its number, the aliases it carries, where its files lie, and its tags."""
+    """One version of a registered model.
+
+    Attributes:
+        name: of the registered model.
+        number: of the version.
+        aliases: that it carries.
+        source: where its files lie.
+        tags: what is kept beside it.
+        run_id: the MLflow run that made it.
+    """
 
     name: str
     number: int
     aliases: tuple[str, ...]
     source: str
     tags: Mapping[str, str]
+    run_id: str | None = None
+
+    @property
+    def task(self) -> str | None:
+        """The task of a policy; None of a dynamics model."""
+        return self.tags.get("task")
 
     def __str__(self) -> str:
         return f"{self.name} version {self.number}"
@@ -65,7 +88,7 @@ class Version:
 
 
 def register(name: str, folder: Path, source: str, run_id: str | None, tags: Mapping[str, str]) -> Version:
-    """Register the model in `folder`, kept at the URI `source`, as a new version of `name` and as its challenger.
+    """Register the model in `folder`, kept at the URI `source`, as a new version of `name`.
 
     Args:
         name: the registered model, `<robot>-dynamics` or `<robot>-policy`.
@@ -87,12 +110,11 @@ def register(name: str, folder: Path, source: str, run_id: str | None, tags: Map
             if name not in _names(client):
                 client.create_registered_model(name)
         number = client.create_model_version(name, source, run_id, tags=tags).version
-        client.set_registered_model_alias(name, CHALLENGER, number)
         if model_id:
             client.set_logged_model_tags(
                 model_id, {MLFLOW_MODEL_VERSIONS: json.dumps([{"name": name, "version": number}])}
             )
-    return Version(name, int(number), (CHALLENGER,), source, tags)
+    return Version(name, int(number), (), source, tags, run_id)
 
 
 def versions(name: str) -> list[Version]:
@@ -107,13 +129,37 @@ def versions(name: str) -> list[Version]:
     entries = []
     for entry in found:
         aliases = tuple(alias for alias, number in bearers.items() if str(number) == str(entry.version))
-        entries.append(Version(name, int(entry.version), aliases, entry.source or "", entry.tags))
+        entries.append(Version(name, int(entry.version), aliases, entry.source or "", entry.tags, entry.run_id))
     return sorted(entries, key=lambda version: version.number, reverse=True)
 
 
-def champion(name: str) -> Version | None:
-    """Return the promoted version, None where there is none yet."""
-    return next((version for version in versions(name) if CHAMPION in version.aliases), None)
+def holders(name: str, role: Role) -> list[Version]:
+    """Return the challenger or the champion of each task, the newest first; of dynamics models there is one at most."""
+    return _holders(versions(name), role)
+
+
+def holder(name: str, role: Role, task: str | None = None) -> Version | None:
+    """Return the challenger or the champion, of a task where it is a policy's; None where there is none yet."""
+    return _holder(versions(name), role, task)
+
+
+def _holders(known: list[Version], role: Role) -> list[Version]:
+    return [version for version in known if {role, _own_alias(role, version.task)} & {*version.aliases}]
+
+
+def _holder(known: list[Version], role: Role, task: str | None) -> Version | None:
+    return next((version for version in _holders(known, role) if version.task == task), None)
+
+
+def _own_alias(role: Role, task: str | None) -> str:
+    """Return the alias of a role that is called after its task."""
+    return f"{role}-{re.sub('[^A-Za-z0-9_-]', '_', task)}" if task else role
+
+
+def _alias(known: list[Version], role: Role, task: str | None) -> str:
+    """Return the alias that the challenger or the champion of a task carries."""
+    bearer = next((version for version in known if role in version.aliases), None)
+    return role if bearer is None or bearer.task == task else _own_alias(role, task)
 
 
 def version_of(name: str, folder: Path) -> Version | None:
@@ -122,11 +168,15 @@ def version_of(name: str, folder: Path) -> Version | None:
     return next((version for version in versions(name) if version.tags.get("digest") == digest), None)
 
 
-def find_version(reference: str) -> Version:
+def find_version(reference: str, task: str | None = None) -> Version:
     """Return the version that `models:/NAME@ALIAS` or `models:/NAME/VERSION` names.
 
+    Args:
+        reference: to a registered model.
+        task: what it must be for; None: whatever it is for.
+
     Raises:
-        UserError: the reference is malformed, or there is no such name, alias or version.
+        UserError: the reference is malformed, there is no such name, alias or version, or it is for another task.
     """
     parts = REFERENCE.match(reference)
     if not parts:
@@ -138,21 +188,64 @@ def find_version(reference: str) -> Version:
         raise UserError(f"no registered model {parts['name']!r}; registered: {names}")
     for version in known:
         if parts["alias"] in version.aliases or str(version.number) == parts["number"]:
+            check_task(version, task)
             return version
     raise UserError(f"{reference}: no such version; there are {_describe(known)}")
 
 
-def model_folder(reference: str) -> Path:
-    """Return the folder of a model given as a folder, `models:/NAME@ALIAS` or `models:/NAME/VERSION`.
+def check_task(version: Version, task: str | None) -> None:
+    """Check that a policy is for the task that is meant; None: for whichever.
 
     Raises:
-        UserError: there is no such folder, name, alias or version.
+        UserError: it is for another one; the message names the champion of the task that is meant, if there is one.
+    """
+    if task is None or version.task == task:
+        return
+    known = versions(version.name)
+    remedy = f"write models:/{version.name}@{_alias(known, 'champion', task)}"
+    if _holder(known, "champion", task) is None:
+        remedy = f"no policy for {task!r} is champion yet"
+    raise UserError(f"{version} is for task {version.task!r}, not for {task!r}: {remedy}")
+
+
+def model_folder(reference: str, task: str | None = None) -> Path:
+    """Return the folder of a model given as a folder, `models:/NAME@ALIAS` or `models:/NAME/VERSION`.
+
+    Args:
+        reference: to the model.
+        task: what a registered policy must be for; None: whatever it is for.
+
+    Raises:
+        UserError: there is no such folder, name, alias or version, or it is for another task.
     """
     if reference.startswith("models:"):
-        return find_version(reference).folder()
+        return find_version(reference, task).folder()
     if not Path(reference).is_dir():
         raise UserError(f"no model folder {reference}: give a folder, models:/NAME@ALIAS or models:/NAME/VERSION")
     return Path(reference)
+
+
+def challenge(version: Version, compare: Callable[[Version], tuple[bool, str]]) -> str:
+    """Make a version the challenger, unless it is not measurably better than the one there is; return what was done.
+
+    Args:
+        version: the new one.
+        compare: says of the challenger whether the new version takes its place, and why.
+    """
+    while True:
+        incumbent = holder(version.name, "challenger", version.task)
+        better, reason = compare(incumbent) if incumbent else (True, "")
+        if incumbent and not better:
+            return f"registered as {version}; version {incumbent.number} stays challenger: {reason}"
+        with store_errors(), store_lock():
+            known = versions(version.name)
+            now, alias = _holder(known, "challenger", version.task), _alias(known, "challenger", version.task)
+            if (now and now.number) != (incumbent and incumbent.number):
+                continue
+            mlflow.MlflowClient().set_registered_model_alias(version.name, alias, str(version.number))
+        if incumbent is None:
+            return f"registered as {version}, its {alias}"
+        return f"registered as {version}, its {alias} in place of version {incumbent.number}: {reason}"
 
 
 def promote(version: Version, reason: str, against: Version | None) -> None:
@@ -167,32 +260,35 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
         UserError: another version became champion meanwhile.
     """
     with store_errors(), store_lock():
-        former = champion(version.name)
-        if (former and former.number) != (against and against.number):
-            raise UserError(f"{former} became champion meanwhile: promote {version} again, to be compared with that")
+        known = versions(version.name)
+        now, alias = _holder(known, "champion", version.task), _alias(known, "champion", version.task)
+        if (now and now.number) != (against and against.number):
+            raise UserError(f"{now} became champion meanwhile: promote {version} again, to be compared with that")
         client = mlflow.MlflowClient()
-        if former:
-            _remember(client, version.name, [*_former_champions(client, version.name), str(former.number)])
+        if against:
+            former = _former_champions(client, version.name, alias)
+            _remember(client, version.name, alias, [*former, str(against.number)])
         client.set_model_version_tag(version.name, str(version.number), "promoted_because", reason)
-        client.set_registered_model_alias(version.name, CHAMPION, str(version.number))
+        client.set_registered_model_alias(version.name, alias, str(version.number))
 
 
-def roll_back(name: str) -> tuple[int, int]:
-    """Give the champion's alias back to the champion before; return the numbers (demoted, restored).
+def roll_back(name: str, task: str | None = None) -> tuple[int, int]:
+    """Give the champion's alias back to the champion of the task before; return the numbers (demoted, restored).
 
     Raises:
         UserError: there is no champion, or none before it.
     """
     with store_errors(), store_lock():
-        demoted = champion(name)
+        known = versions(name)
+        demoted, alias = _holder(known, "champion", task), _alias(known, "champion", task)
         if demoted is None:
-            raise UserError(f"{name} has no champion to roll back from; there are {_describe(versions(name))}")
+            raise UserError(f"{name} has no champion to roll back from; there are {_describe(known)}")
         client = mlflow.MlflowClient()
-        former = _former_champions(client, name)
+        former = _former_champions(client, name, alias)
         if not former:
             raise UserError(f"{demoted} is the first champion: there is none to roll back to")
-        client.set_registered_model_alias(name, CHAMPION, former[-1])
-        _remember(client, name, former[:-1])
+        client.set_registered_model_alias(name, alias, former[-1])
+        _remember(client, name, alias, former[:-1])
     return demoted.number, int(former[-1])
 
 
@@ -205,12 +301,18 @@ def _names(client: mlflow.MlflowClient) -> list[str]:
     return sorted(model.name for model in client.search_registered_models(max_results=1000))
 
 
-def _former_champions(client: mlflow.MlflowClient, name: str) -> list[str]:
-    return [number for number in client.get_registered_model(name).tags.get(FORMER_CHAMPIONS, "").split(",") if number]
+def _history_tag(alias: str) -> str:
+    """Return the tag of a registered model that lists, oldest first, those that bore a champion's alias before."""
+    return FORMER_CHAMPIONS + alias.removeprefix("champion")
 
 
-def _remember(client: mlflow.MlflowClient, name: str, numbers: list[str]) -> None:
-    client.set_registered_model_tag(name, FORMER_CHAMPIONS, ",".join(numbers))
+def _former_champions(client: mlflow.MlflowClient, name: str, alias: str) -> list[str]:
+    listed = client.get_registered_model(name).tags.get(_history_tag(alias), "")
+    return [number for number in listed.split(",") if number]
+
+
+def _remember(client: mlflow.MlflowClient, name: str, alias: str, numbers: list[str]) -> None:
+    client.set_registered_model_tag(name, _history_tag(alias), ",".join(numbers))
 
 
 def _describe(known: list[Version]) -> str:

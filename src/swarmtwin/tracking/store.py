@@ -1,10 +1,12 @@
 """The MLflow store: where it is, whether it can be used, and one process at a time where that matters."""
 
+import contextlib
 import errno
 import fcntl
 import logging
 import os
-from collections.abc import Iterator
+import sqlite3
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -67,7 +69,38 @@ def _open_store(uri: str) -> None:
         requests.get(f"{uri.rstrip('/')}/health", timeout=5)  # any answer will do
         return
     with store_lock():
-        mlflow.MlflowClient().search_experiments(max_results=1)
+        experiments = mlflow.MlflowClient().search_experiments()
+        if database := _database():
+            _follow_moved_files(database, {experiment.name: experiment.artifact_location for experiment in experiments})
+
+
+def _follow_moved_files(database: Path, locations: Mapping[str, str]) -> None:
+    """Let MLflow find its files where the database was moved or copied together with the `mlruns/` beside it.
+
+    MLflow keeps absolute places. Those in the folder that a database came from become the same places beside it; a
+    database that cannot be written stays as it is.
+
+    Args:
+        database: the file.
+        locations: where the files of each experiment are kept, by its name.
+    """
+    here = database.parent / "mlruns"
+    places = {
+        "experiments": ("artifact_location",),
+        "runs": ("artifact_uri",),
+        "logged_models": ("artifact_location",),
+        "model_versions": ("source", "storage_location"),
+    }
+    names = [name for name, location in locations.items() if location.endswith(f"/mlruns/{name}")]
+    came_with = {locations[name].removesuffix(f"/{name}") for name in names if (here / name).is_dir()}
+    for there in came_with - {here.as_uri()}:
+        with contextlib.suppress(sqlite3.OperationalError), contextlib.closing(sqlite3.connect(database)) as connection:
+            for table, columns in places.items():
+                for column in columns:
+                    moved = f"UPDATE {table} SET {column} = ? || substr({column}, ?) WHERE substr({column}, 1, ?) = ?"
+                    start = len(there) + 1
+                    connection.execute(moved, (here.as_uri(), start, start, f"{there}/"))
+            connection.commit()
 
 
 def use_experiment(name: str) -> None:

@@ -76,6 +76,8 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
     causes = enumeration([cause_summary(cause) for cause in diagnosis.causes], "; ", "; and ")
     if diagnosis.verdict == "no_gap":
         return "Nothing is wrong: the simulation does what the robot did, within the ordinary noise."
+    if diagnosis.not_confirmed:
+        return f"The robot departs from the simulation, and no known cause explains it: {diagnosis.not_confirmed}."
     if diagnosis.verdict == "explained":
         return f"The robot departs from the simulation because {causes}."
     if diagnosis.causes:
@@ -90,7 +92,7 @@ def dependence_words(diagnosis: DiagnosisResult) -> str:
     for part, sentence in SHAPES.items():
         if part in diagnosis.depends_on:
             sentences.append(sentence.format("less" if explained.get(part, 0.0) < 0 else "more"))
-    if diagnosis.extension != "none":
+    if diagnosis.extension != "none" and not diagnosis.not_confirmed:
         if placed := _placed(diagnosis.left_over):
             sentences.append(f"What the extension leaves depends on {placed}.")
         if shapes := [QUESTIONS[part] for part in SHAPES if part in diagnosis.left_over]:

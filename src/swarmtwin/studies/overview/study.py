@@ -46,7 +46,7 @@ class Chapter(NamedTuple):
         policies: table.csv of the policies rolled out, likewise.
         diagnosis: of a later session, likewise.
         report: the diagnosis's own page.
-        champions: the promoted version of each registered model.
+        champions: the promoted versions of each registered model, of policies one for each task.
         pictures: by section of the page, with their captions.
         films: with their captions.
     """
@@ -58,7 +58,7 @@ class Chapter(NamedTuple):
     policies: pd.DataFrame | None
     diagnosis: DiagnosisResult | None
     report: Path
-    champions: dict[str, registry.Version | None]
+    champions: dict[str, list[registry.Version]]
     pictures: dict[str, dict[str, Path]]
     films: dict[str, Path]
 
@@ -140,7 +140,9 @@ def _chapter(artifacts: Path, robot_name: str) -> Chapter:
         report=_drawn(artifacts, f"diagnosis/{robot_name}/report.html"),
         cases=_table(artifacts / "real_and_synthetic" / robot_name),
         policies=policies,
-        champions={name: registry.champion(name) for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")},
+        champions={
+            name: registry.holders(name, "champion") for name in (f"{robot_name}-dynamics", f"{robot_name}-policy")
+        },
         pictures=pictures,
         films=_drawn_files(artifacts, FILMS, robot_name, names),
     )
@@ -188,9 +190,13 @@ def _recordings_table(chapters: list[Chapter]) -> Table:
 def _registry_table(chapters: list[Chapter]) -> Table:
     table = Table("registered model", "versions", "champion", "why", title="Registry")
     for chapter in chapters:
-        for name, champion in chapter.champions.items():
-            reason = champion.tags.get("promoted_because", "") if champion else ""
-            table.add_row(name, str(len(registry.versions(name))), str(champion.number) if champion else "none", reason)
+        for name, champions in chapter.champions.items():
+            count = str(len(registry.versions(name)))
+            if not champions:
+                table.add_row(name, count, "none", "")
+            for champion in champions:
+                task = f" for {champion.task}" if champion.task else ""
+                table.add_row(name, count, f"{champion.number}{task}", champion.tags.get("promoted_because", ""))
     return table
 
 
