@@ -1,6 +1,7 @@
 """`swarmtwin tune`: one study, shared by processes and continued by later calls."""
 
 import re
+import shlex
 
 import mlflow
 import optuna
@@ -57,6 +58,44 @@ def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, work
             parents[run.data.tags["mlflow.parentRunId"]].append(run.data.metrics["validation_loss"])
     assert sorted(len(children) for children in parents.values()) == [2, 5]
     assert sorted(loss for losses in parents.values() for loss in losses) == sorted(trial.value for trial in trials)
+
+
+def test_the_advice_is_a_complete_command(swarmtwin, workshop):
+    options = ("model.steps=40", "split.seed=3", "device=cpu")
+    search = ("tune", "recording=reference", "model=kinematic", *options, *space(batch_size="{choices: [256]}"))
+    answer = swarmtwin(*search, "workers=1", "trials=1", "study=advised")
+    assert answer.status == 0
+    (advice,) = [line for line in answer.shown.splitlines() if line.startswith("train with it: ")]
+    command = shlex.split(advice.removeprefix("train with it: swarmtwin "))
+    assert swarmtwin(*command, "seeds=1", "register=false", "output=out").status == 0
+    kept = yaml.safe_load((workshop / "outputs" / "tune" / "advised.yaml").read_text())
+    described = yaml.safe_load((workshop / "out" / "model.yaml").read_text())
+    assert described["model"]["steps"] == 40
+    (chosen,) = described["provenance"]["seeds"]
+    shown = next(line for line in answer.shown.splitlines() if line.split()[:1] == ["0"]).split()
+    assert shown[1:4] == [f"{kept['loss']:.4g}", f"{chosen['position_mm']:.4g}", f"{chosen['orientation_deg']:.4g}"]
+
+
+def test_no_heading_is_cut_off_in_a_narrow_window(swarmtwin, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    answer = swarmtwin(*SEARCH, "workers=1", "trials=1")
+    assert "…" not in answer.shown
+    for word in ("learning_rate", "weight_decay", "batch_size", "position", "orientation"):
+        assert word in answer.shown
+
+
+def test_a_hopeless_trial_is_broken_off_and_counts(swarmtwin, workshop):
+    rates = space(learning_rate="{choices: [0.01, 1.0e-7]}")
+    search = (*SEARCH, *rates, "recipe.epochs=5", "recipe.batch_size=512", "workers=1")
+    assert swarmtwin(*search, "trials=1").status == 0
+    for rate in (*[0.01] * 9, 1.0e-7):
+        study(workshop).enqueue_trial({"recipe.learning_rate": rate})
+    assert "of 11 trials, 1 broken off early" in " ".join(swarmtwin(*search, "trials=11").shown.split())
+    last = study(workshop).get_trials()[-1]
+    assert (last.state, list(last.intermediate_values)) == (TrialState.PRUNED, [2])
+    study(workshop).enqueue_trial({"recipe.learning_rate": 1.0e-7})
+    assert swarmtwin(*search, "trials=12", "prune=false").status == 0
+    assert study(workshop).get_trials()[-1].state == TrialState.COMPLETE
 
 
 def test_the_same_seed_searches_the_same_values(swarmtwin, workshop):

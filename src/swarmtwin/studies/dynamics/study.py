@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pandas as pd
 from rich.console import Console
@@ -55,8 +55,8 @@ class Entry:
     measurements: dict[str, Measurement]
 
 
-def run(options: Options) -> None:
-    """Measure all models, save table, pictures and the best of them, and show the table.
+def run(options: Options) -> dict[str, Any]:
+    """Measure all models, save table, pictures and the best of them, and show the table; return the best one's errors.
 
     Raises:
         UserError: there is no model, a recording is missing, or the output is taken.
@@ -78,6 +78,9 @@ def run(options: Options) -> None:
         tracked.tag("best_model", best.name)
         tracked.folder(options.output, "comparison")
     Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
+    one_step = best.measurements["train_vehicle"].overall.one_step
+    figures = {"position_mm": one_step.position_mm, "orientation_deg": one_step.orientation_deg}
+    return {"best_model": best.name, **figures, "output": str(options.output)}
 
 
 def best_entry(entries: Sequence[Entry]) -> Entry:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 from rich.console import Console
@@ -55,8 +56,8 @@ class Entry:
     metrics: dict[str, Any]
 
 
-def run(options: Options) -> None:
-    """Roll out every policy, save table, figures, every step, pictures and films, and show the table.
+def run(options: Options) -> dict[str, Any]:
+    """Roll out every policy, save table, figures, pictures and films, show the table; return mean successes.
 
     Raises:
         UserError: there is no policy of the robot, its simulation is missing, or the output is taken.
@@ -76,6 +77,11 @@ def run(options: Options) -> None:
         tracked.folder(options.output, "transfer")
     Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
     Console().print(f"pictures and films: {options.output}", highlight=False, soft_wrap=True)
+    success = {
+        f"{motion}_success": float(np.mean([entry.metrics[motion]["success"]["value"] for entry in entries]))
+        for motion in ("simulation", "stand_in")
+    }
+    return {**success, "output": str(options.output)}
 
 
 def policies_of(folder: Path, robot: Robot) -> list[StoredPolicy]:
