@@ -1,9 +1,13 @@
 """`swarmtwin tune`: one study, shared by processes and continued by later calls."""
 
+import dataclasses
 import re
 import shlex
+import shutil
+from pathlib import Path
 
 import mlflow
+import numpy as np
 import optuna
 import pytest
 import yaml
@@ -11,6 +15,8 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from swarmtwin.tracking.store import use_store
+from swarmtwin.transitions import SPLITS, load_transitions
+from swarmtwin.transitions.storage import write_transitions
 
 STUDY = ("study=mgr-kinematic",)
 SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", *STUDY)
@@ -74,6 +80,35 @@ def test_the_advice_is_a_complete_command(swarmtwin, workshop):
     (chosen,) = described["provenance"]["seeds"]
     shown = next(line for line in answer.shown.splitlines() if line.split()[:1] == ["0"]).split()
     assert shown[1:4] == [f"{kept['loss']:.4g}", f"{chosen['position_mm']:.4g}", f"{chosen['orientation_deg']:.4g}"]
+
+
+def test_what_is_chosen_never_looks_at_the_test_split(swarmtwin, workshop):
+    """Tuning, training and a generator's quality are the same where the test split holds other numbers."""
+    assert swarmtwin("prepare", "recording=reference", "output=clean", "pictures=false").status == 0
+    shutil.copytree("clean", "altered")
+    transitions = load_transitions("clean")
+    in_test = transitions.split == SPLITS.index("test")
+    assert in_test.any()
+    garbage = {
+        name: np.where(in_test[:, None], 50 - 3 * getattr(transitions, name), getattr(transitions, name))
+        for name in ("command", "previous_command", "pose", "displacement")
+    }
+    write_transitions(Path("altered/transitions.parquet"), dataclasses.replace(transitions, **garbage))
+    quick = ("generator.mean_model_steps=20", "generator.noise_steps=20", "generator.members=2", "pictures=false")
+    for name in ("clean", "altered"):
+        data = f"transitions={name}"
+        tune = ("tune", data, "model=mlp", "model.steps=12", "trials=2", "workers=1", f"study={name}")
+        assert swarmtwin(*tune).status == 0
+        train = ("train", data, "model=mlp", "model.steps=12", "seeds=2", "pictures=false", "register=false")
+        assert swarmtwin(*train, f"output={name}-model").status == 0
+        assert swarmtwin("generate", "robot=mgr", data, *quick, "count=300", f"output={name}-drawn").status == 0
+    for clean in (
+        "outputs/tune/clean.yaml",
+        *(f"clean-model/{file}" for file in ("model.yaml", "weights.safetensors", "history.csv")),
+        *(f"clean-drawn/{file}" for file in ("quality.json", "history.csv", "generator/weights.safetensors")),
+        "clean-drawn/transitions/transitions.parquet",
+    ):
+        assert Path(clean).read_bytes() == Path(clean.replace("clean", "altered")).read_bytes(), clean
 
 
 def test_no_heading_is_cut_off_in_a_narrow_window(swarmtwin, monkeypatch):
