@@ -36,8 +36,8 @@ def test_the_best_run_comes_first_and_the_failed_last(tmp_path):
     keep_row(tmp_path, 0, ["robot=mgr", "model=none"], {"failed": "no such model"})
     keep_row(tmp_path, 1, ["robot=mgr", "model=gru"], {"position_mm": 3.5, "orientation_deg": 4.0, "output": "b"})
     keep_row(tmp_path, 2, ["robot=mgr", "model=mlp"], {"position_mm": 3.0, "orientation_deg": 5.0, "output": "c"})
-    _, headings, *rows = lines(sweep_table(read_rows(tmp_path), ERRORS))
-    assert headings == ["model", "position_mm", "orientation_deg", "output"]  # the robot was not swept
+    _, units, headings, *rows = lines(sweep_table(read_rows(tmp_path), ERRORS))
+    assert (units, headings) == (["position", "orientation"], ["model", "mm", "°", "output"])  # the robot was not swept
     assert [row[0] for row in rows] == ["gru", "mlp", "none"]  # 17 % more position error, 25 % more orientation error
     assert rows[0] == ["gru", "3.5", "4", "b"]
     assert " ".join(rows[2]) == "none failed: no such model"
@@ -61,8 +61,8 @@ def test_a_sweep_of_trainings_ends_with_its_table(swarmtwin, workshop):
     answer = swarmtwin("train", "-m", *quick, "model=mlp", "model.steps=12,150", "output=out/${model.steps}")
     assert answer.status == 0
     table = answer.shown[answer.shown.index("2 runs, best first") :].splitlines()
-    headings, *rows = [line.split() for line in table[1:] if line.strip(" ─")]
-    assert headings == ["model.steps", "validation_position_mm", "validation_orientation_deg", "training_s", "output"]
+    _, headings, *rows = [line.split() for line in table[1:] if line.strip(" ─")]
+    assert headings == ["model.steps", "mm", "°", "s", "output"]
     assert [(row[0], row[-1]) for row in rows] == [("150", "out/150"), ("12", "out/12")]
     assert float(rows[0][1]) < float(rows[1][1])
 

@@ -42,7 +42,7 @@ def sweep_table(rows: Sequence[Mapping[str, Any]], ranking: Ranking) -> Table:
     for name in swept:
         table.add_column(name, overflow="fold")
     for name in figures:
-        table.add_column(name, justify="right", overflow="fold")
+        table.add_column(_heading(name), justify="right", overflow="fold")
     table.add_column("output", overflow="fold")
     ended = [row["headline"] for row in rows if "failed" not in row["headline"]]
     for row in sorted(rows, key=lambda row: _rank(row["headline"], ended, ranking)):
@@ -64,6 +64,13 @@ def _rank(headline: Mapping[str, Any], ended: Sequence[Mapping[str, Any]], ranki
             unit = max(values) if ranking.highest_first else min(values)
             total += headline[name] / max(unit, 1e-12)
     return -total if ranking.highest_first else total
+
+
+def _heading(name: str) -> str:
+    """Write a figure's name as people do, its unit in a line of its own: position_mm → position, mm."""
+    words, _, last = name.rpartition("_")
+    unit = {"mm": "mm", "deg": "°", "s": "s", "percent": "%"}.get(last)
+    return f"{words.replace('_', ' ')}\n{unit}" if words and unit else name.replace("_", " ")
 
 
 def _text(value: Any) -> str:
