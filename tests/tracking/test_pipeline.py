@@ -263,6 +263,14 @@ def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     assert reran(repository, *DRAWN) == set()
 
 
+def test_metrics_are_shown_as_a_table_that_fits_a_window(repository):
+    heading, *rows = dvc(repository, "metrics", "show", "artifacts/comparison/mgr/summary").strip().splitlines()
+    figures = ["Path", "floor_mm", "open_loop_mm", "orientation_deg", "other_vehicle_mm", "position_mm"]
+    assert heading.split() == figures
+    assert [Path(row.split()[0]).stem for row in rows] == ["crnet-S", "kinematic", "mlp"]
+    assert max(map(len, [heading, *rows])) < 140
+
+
 def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     artifacts = repository / "artifacts" / "dynamics" / "mgr"
     before = {name: (artifacts / name / "history.csv").read_bytes() for name in ("kinematic", "mlp")}

@@ -126,6 +126,9 @@ def _entries(options: Options) -> list[Entry]:
 def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> None:
     metrics = {e.name: {name: m.metrics() for name, m in e.measurements.items()} for e in entries}
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
+    (folder / "summary").mkdir()
+    for entry in entries:
+        write_text(folder / "summary" / f"{entry.name}.json", json.dumps(_summary(entry), indent=1) + "\n")
     rows = [
         {
             "model": entry.name,
@@ -144,3 +147,16 @@ def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> 
     (folder / "open_loop").mkdir()
     for entry in entries:
         save_open_loop(folder / "open_loop" / f"{entry.name}.parquet", entry.measurements["open_loop"].runs, arena)
+
+
+def _summary(entry: Entry) -> dict[str, float]:
+    """Return the figures that experiments are compared by, as `dvc metrics show` prints them."""
+    here, elsewhere = (entry.measurements[name].overall for name in ("train_vehicle", "other_vehicle"))
+    loop = entry.measurements["open_loop"].overall.open_loop
+    figures = {
+        "position_mm": here.one_step.position_mm,
+        "orientation_deg": here.one_step.orientation_deg,
+        "floor_mm": here.floor.position_mm,
+        "other_vehicle_mm": elsewhere.one_step.position_mm,
+    }
+    return figures | ({"open_loop_mm": loop.rmse_mm} if loop else {})

@@ -112,6 +112,9 @@ def _entry(options: Options, policy: StoredPolicy) -> Entry:
 
 def _save(folder: Path, entries: Sequence[Entry]) -> None:
     write_text(folder / "metrics.json", json.dumps({e.name: e.metrics for e in entries}, indent=1) + "\n")
+    (folder / "summary").mkdir()
+    for entry in entries:
+        write_text(folder / "summary" / f"{entry.name}.json", json.dumps(_summary(entry), indent=1) + "\n")
     pd.DataFrame([_row(entry) for entry in entries]).to_csv(folder / "table.csv", index=False)
     steps = [
         rollout_table(motion, rollout).assign(policy=entry.name)
@@ -146,3 +149,14 @@ def _row(entry: Entry) -> dict[str, Any]:
         about[f"{motion}_reach_time_s"] = round(figures.reach_time_s, 2)
     difference = entry.metrics["reward_difference_percent"]
     return {**about, **{f"reward_difference_percent_{name}": round(value, 2) for name, value in difference.items()}}
+
+
+def _summary(entry: Entry) -> dict[str, float]:
+    """Return the figures that experiments are compared by, as `dvc metrics show` prints them: shares and rewards."""
+    vehicles = entry.metrics["stand_in"]
+    return {
+        "success": vehicles["success"]["value"],
+        "simulated_success": entry.metrics["simulation"]["success"]["value"],
+        "collision": vehicles["collision"]["value"],
+        "reward": vehicles["reward"]["mean"],
+    }
