@@ -82,6 +82,11 @@ def test_the_table_holds_the_numbers_of_evaluate(swarmtwin, models, workshop):
                 assert row[f"{figure}_{error}_{unit}"] == pytest.approx(expected["mean"], abs=6e-5)
                 assert row[f"{figure}_{error}_sd_{unit}"] == pytest.approx(expected["sd"], abs=6e-5)
         assert row.open_loop_mm == pytest.approx(evaluated["open_loop"]["rmse_mm"]["mean"], abs=6e-3)
+    for name in models:
+        summary = json.loads((workshop / "out" / "summary" / f"{name}.json").read_text())
+        assert summary["position_mm"] == metrics[name]["train_vehicle"]["one_step"]["position_mm"]["mean"]
+        assert summary["open_loop_mm"] == metrics[name]["open_loop"]["open_loop"]["rmse_mm"]["mean"]
+        assert len(summary) == 5
     worst_first = table.xs("train_vehicle", level="recording").one_step_position_mm
     assert list(worst_first) == sorted(worst_first, reverse=True)
 

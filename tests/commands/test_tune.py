@@ -1,8 +1,13 @@
 """`swarmtwin tune`: one study, shared by processes and continued by later calls."""
 
+import dataclasses
 import re
+import shlex
+import shutil
+from pathlib import Path
 
 import mlflow
+import numpy as np
 import optuna
 import pytest
 import yaml
@@ -10,6 +15,8 @@ from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
 from swarmtwin.tracking.store import use_store
+from swarmtwin.transitions import SPLITS, load_transitions
+from swarmtwin.transitions.storage import write_transitions
 
 STUDY = ("study=mgr-kinematic",)
 SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", *STUDY)
@@ -57,6 +64,73 @@ def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, work
             parents[run.data.tags["mlflow.parentRunId"]].append(run.data.metrics["validation_loss"])
     assert sorted(len(children) for children in parents.values()) == [2, 5]
     assert sorted(loss for losses in parents.values() for loss in losses) == sorted(trial.value for trial in trials)
+
+
+def test_the_advice_is_a_complete_command(swarmtwin, workshop):
+    options = ("model.steps=40", "split.seed=3", "device=cpu")
+    search = ("tune", "recording=reference", "model=kinematic", *options, *space(batch_size="{choices: [256]}"))
+    answer = swarmtwin(*search, "workers=1", "trials=1", "study=advised")
+    assert answer.status == 0
+    (advice,) = [line for line in answer.shown.splitlines() if line.startswith("train with it: ")]
+    command = shlex.split(advice.removeprefix("train with it: swarmtwin "))
+    assert swarmtwin(*command, "seeds=1", "register=false", "output=out").status == 0
+    kept = yaml.safe_load((workshop / "outputs" / "tune" / "advised.yaml").read_text())
+    described = yaml.safe_load((workshop / "out" / "model.yaml").read_text())
+    assert described["model"]["steps"] == 40
+    (chosen,) = described["provenance"]["seeds"]
+    shown = next(line for line in answer.shown.splitlines() if line.split()[:1] == ["0"]).split()
+    assert shown[1:4] == [f"{kept['loss']:.4g}", f"{chosen['position_mm']:.4g}", f"{chosen['orientation_deg']:.4g}"]
+
+
+def test_what_is_chosen_never_looks_at_the_test_split(swarmtwin, workshop):
+    """Tuning, training and a generator's quality are the same where the test split holds other numbers."""
+    assert swarmtwin("prepare", "recording=reference", "output=clean", "pictures=false").status == 0
+    shutil.copytree("clean", "altered")
+    transitions = load_transitions("clean")
+    in_test = transitions.split == SPLITS.index("test")
+    assert in_test.any()
+    garbage = {
+        name: np.where(in_test[:, None], 50 - 3 * getattr(transitions, name), getattr(transitions, name))
+        for name in ("command", "previous_command", "pose", "displacement")
+    }
+    write_transitions(Path("altered/transitions.parquet"), dataclasses.replace(transitions, **garbage))
+    quick = ("generator.mean_model_steps=20", "generator.noise_steps=20", "generator.members=2", "pictures=false")
+    for name in ("clean", "altered"):
+        data = f"transitions={name}"
+        tune = ("tune", data, "model=mlp", "model.steps=12", "trials=2", "workers=1", f"study={name}")
+        assert swarmtwin(*tune).status == 0
+        train = ("train", data, "model=mlp", "model.steps=12", "seeds=2", "pictures=false", "register=false")
+        assert swarmtwin(*train, f"output={name}-model").status == 0
+        assert swarmtwin("generate", "robot=mgr", data, *quick, "count=300", f"output={name}-drawn").status == 0
+    for clean in (
+        "outputs/tune/clean.yaml",
+        *(f"clean-model/{file}" for file in ("model.yaml", "weights.safetensors", "history.csv")),
+        *(f"clean-drawn/{file}" for file in ("quality.json", "history.csv", "generator/weights.safetensors")),
+        "clean-drawn/transitions/transitions.parquet",
+    ):
+        assert Path(clean).read_bytes() == Path(clean.replace("clean", "altered")).read_bytes(), clean
+
+
+def test_no_heading_is_cut_off_in_a_narrow_window(swarmtwin, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    answer = swarmtwin(*SEARCH, "workers=1", "trials=1")
+    assert "…" not in answer.shown
+    for word in ("learning_rate", "weight_decay", "batch_size", "position", "orientation"):
+        assert word in answer.shown
+
+
+def test_a_hopeless_trial_is_broken_off_and_counts(swarmtwin, workshop):
+    rates = space(learning_rate="{choices: [0.01, 1.0e-7]}")
+    search = (*SEARCH, *rates, "recipe.epochs=5", "recipe.batch_size=512", "workers=1")
+    assert swarmtwin(*search, "trials=1").status == 0
+    for rate in (*[0.01] * 9, 1.0e-7):
+        study(workshop).enqueue_trial({"recipe.learning_rate": rate})
+    assert "of 11 trials, 1 broken off early" in " ".join(swarmtwin(*search, "trials=11").shown.split())
+    last = study(workshop).get_trials()[-1]
+    assert (last.state, list(last.intermediate_values)) == (TrialState.PRUNED, [2])
+    study(workshop).enqueue_trial({"recipe.learning_rate": 1.0e-7})
+    assert swarmtwin(*search, "trials=12", "prune=false").status == 0
+    assert study(workshop).get_trials()[-1].state == TrialState.COMPLETE
 
 
 def test_the_same_seed_searches_the_same_values(swarmtwin, workshop):

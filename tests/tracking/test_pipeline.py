@@ -178,7 +178,11 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
 
 @every_stage
 def test_what_a_stage_hangs_on_of_the_code_exists(stage):
-    assert not [path for path in stage.deps if path.startswith("src/") and not (REPOSITORY / path).exists()]
+    source = REPOSITORY / "src" / "swarmtwin"
+    code = [Path(path).relative_to("artifacts/code") for path in stage.deps if path.startswith("artifacts/code/")]
+    assert code
+    assert not [path for path in code if not (source / path).exists()]
+    assert not [path for path in stage.deps if path.startswith("src/")]
 
 
 @pytest.mark.parametrize("kind", ["metrics", "plots"])
@@ -218,6 +222,7 @@ def repository(tmp_path_factory):
             assert run_command("record", [*options, output]) == 0
     call(folder, "git", "init", "--quiet")
     dvc(folder, "init", "--quiet")
+    shutil.copy(REPOSITORY / ".dvcignore", folder)
     (folder / ".gitignore").write_text("/.venv/\n/mlflow.db*\n/mlruns/\n*.partial\n__pycache__/\n")
     dvc(folder, "repro", "--quiet", *DRAWN)
     return folder
@@ -249,6 +254,7 @@ def reran(folder, *targets):
 
 def stale(folder, *targets):
     """Return the names of the stages, among those that lead to targets, whose code, data or parameters have changed."""
+    dvc(folder, "repro", "code")
     changed = json.loads(dvc(folder, "status", "--json", "--with-deps", *targets))
     return {name for name, reasons in changed.items() if any("changed deps" in reason for reason in reasons)}
 
@@ -263,6 +269,14 @@ def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     assert reran(repository, *DRAWN) == set()
 
 
+def test_metrics_are_shown_as_a_table_that_fits_a_window(repository):
+    heading, *rows = dvc(repository, "metrics", "show", "artifacts/comparison/mgr/summary").strip().splitlines()
+    figures = ["Path", "floor_mm", "open_loop_mm", "orientation_deg", "other_vehicle_mm", "position_mm"]
+    assert heading.split() == figures
+    assert [Path(row.split()[0]).stem for row in rows] == ["crnet-S", "kinematic", "mlp"]
+    assert max(map(len, [heading, *rows])) < 140
+
+
 def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     artifacts = repository / "artifacts" / "dynamics" / "mgr"
     before = {name: (artifacts / name / "history.csv").read_bytes() for name in ("kinematic", "mlp")}
@@ -271,6 +285,12 @@ def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     assert (artifacts / "kinematic" / "history.csv").read_bytes() == before["kinematic"]
     assert len(pd.read_csv(artifacts / "mlp" / "history.csv")) > before["mlp"].count(b"\n") - 1
     assert reran(repository, *DRAWN) == set()
+
+
+def test_a_sentence_or_another_layout_makes_nothing_stale(repository):
+    file = repository / "src" / "swarmtwin" / "geometry.py"
+    file.write_text(f"# A sentence.\n{file.read_text().replace('def compose(', 'def  compose(  ')}\n# and another\n")
+    assert reran(repository, *DRAWN) == {"code"}
 
 
 def test_a_line_in_a_plot_draws_anew_and_computes_nothing(repository):
@@ -338,4 +358,4 @@ def output_of(folder, experiment, stage, file):
 
 
 def add_line(file):
-    file.write_text(file.read_text() + "\n# another line\n")
+    file.write_text(file.read_text() + "\nANOTHER_LINE = True\n")

@@ -83,6 +83,32 @@ def test_a_store_that_fails_while_a_run_goes_on_is_one_clear_error(workplace, mo
             run.metrics({"position_mm": 1.0})
 
 
+def test_the_pipelines_own_lock_is_no_uncommitted_change_of_the_code(workplace, monkeypatch):
+    def git(*arguments):
+        subprocess.run(["git", "-c", "user.name=x", "-c", "user.email=x@y", *arguments], check=True)
+
+    def has_changes():
+        with tracked_run("dynamics", "x", {}) as run:
+            pass
+        return mlflow.get_run(run.run_id).data.tags["git.uncommitted_changes"]
+
+    files = [workplace / name for name in ("dvc.lock", "data.dvc", "code.py")]
+    for file in files:
+        file.write_text("one\n")
+    (workplace / "inside").mkdir()
+    git("init", "--quiet")
+    git("add", "dvc.lock", "data.dvc", "code.py")
+    git("commit", "--quiet", "--message", "all")
+    for file in files[:2]:
+        file.write_text("another\n")
+    assert has_changes() == "false"
+    files[2].write_text("another\n")
+    assert has_changes() == "true"
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{workplace}/mlflow.db")
+    monkeypatch.chdir(workplace / "inside")
+    assert has_changes() == "true"
+
+
 def test_a_server_that_is_away_is_told_within_seconds(workplace, monkeypatch):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://127.0.0.1:9")
     started = time.monotonic()

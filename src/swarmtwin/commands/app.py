@@ -23,12 +23,14 @@ from hydra.errors import HydraException, MissingConfigException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from rich.console import Console
 
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
-from swarmtwin.commands.experiment import chosen_study, studies
+from swarmtwin.commands.experiment import chosen_studies, studies
 from swarmtwin.commands.option_help import show_help
 from swarmtwin.commands.outside_config import check_outside_configs
+from swarmtwin.commands.sweep import keep_row, read_rows, sweep_table
 from swarmtwin.configuration import config_files, config_folder, config_folders, let_hydra_find_plugins
 from swarmtwin.errors import RefusedError, UserError, near_miss
 
@@ -55,26 +57,21 @@ def run_command(name: str, arguments: list[str]) -> Status:
     _start_logging()
     arguments = _spelled_out(name, arguments)
     sys.argv = [f"swarmtwin {name}", *arguments]
-    config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
     try:
         let_hydra_find_plugins()
         check_outside_configs(arguments)
-        study = chosen_study(arguments) if name == "experiment" else None
-        if name == "experiment":
-            if study is None:
-                print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(studies())}")
-                return Status.DONE
-            config_name, module_name = f"experiment/{study}", f"swarmtwin.studies.{study}.study"
-        if {"--help", "-h"} & set(arguments):
-            show_help(" ".join([name, *(f"name={study}" for study in [study] if study)]), config_name, arguments)
-            return Status.DONE
-        _run_app(module_name, config_name)
+        chosen = chosen_studies(arguments) if name == "experiment" else [""]
+        if not chosen:
+            print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(studies())}")
+        elif {"--help", "-h"} & set(arguments):
+            title = " ".join([name, *(f"name={study}" for study in chosen[:1] if study)])
+            show_help(title, f"experiment/{chosen[0]}" if chosen[0] else name, arguments)
+        else:
+            _run_all(name, chosen, arguments)
     except RefusedError as error:
         return _report(name, str(error), Status.REFUSED)
     except UserError as error:
         return _report(name, str(error), Status.MISTAKE)
-    except (HydraException, OmegaConfBaseException) as error:
-        return _report(name, explain(error, config_name, arguments), Status.MISTAKE)
     except yaml.YAMLError as error:
         return _report(name, f"a configuration is not valid YAML: {' '.join(str(error).split())}", Status.MISTAKE)
     except MemoryError:
@@ -88,14 +85,41 @@ def run_command(name: str, arguments: list[str]) -> Status:
     return Status.DONE
 
 
-def _run_app(module_name: str, config_name: str) -> None:
+def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
+    """Run a command, or the chosen studies of `experiment` one after the other; a sweep ends with its table.
+
+    As in every sweep, what fails does not keep the others from running.
+    """
+    failures: list[Exception] = []
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            for number, study in enumerate(chosen):
+                config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
+                if study:
+                    config_name, module_name = f"experiment/{study}", f"swarmtwin.studies.{study}.study"
+                    others = [argument for argument in arguments if not argument.startswith("name=")]
+                    sys.argv[1:] = [*others, f"name={study}"]
+                try:
+                    _run_app(module_name, config_name, Path(folder) / f"{number:06}")
+                except (HydraException, OmegaConfBaseException) as error:
+                    failures.append(UserError(explain(error, config_name, arguments)))
+                except Exception as error:
+                    failures.append(error)
+        finally:
+            if rows := read_rows(Path(folder)):
+                Console().print(sweep_table(rows, COMMANDS[name].ranking), highlight=False)
+    if failures:
+        raise failures[0]
+
+
+def _run_app(module_name: str, config_name: str, rows: Path) -> None:
     """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep.
 
     The module, and with it what it computes with, is imported only when there is something to run.
     """
     failures: list[Exception] = []
     app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
-    app(_task(module_name, failures))()
+    app(_task(module_name, failures, rows))()
     if failures:
         raise failures[0]
 
@@ -143,18 +167,29 @@ def _keep_traceback(error: Exception) -> str:
     return "please report it with the traceback above"
 
 
-def _task(module_name: str, failures: list[Exception]) -> Callable[[DictConfig], Any]:
-    """Return what Hydra calls. A single run's failure is kept in `failures`: Hydra would print more than one line."""
+def _task(module_name: str, failures: list[Exception], rows: Path) -> Callable[[DictConfig], Any]:
+    """Return what Hydra calls.
+
+    A single run's failure is kept in `failures`: Hydra would print more than one line. What the runs of a sweep come to
+    is kept in `rows`: they may be in other processes.
+    """
 
     def task(config: DictConfig) -> Any:
+        run = HydraConfig.get()
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
             module = importlib.import_module(module_name)
-            return module.run(module.Options.parse(content, "options"))
+            headline = module.run(module.Options.parse(content, "options"))
         except Exception as error:
-            if HydraConfig.get().mode != RunMode.RUN:
-                raise
-            failures.append(error)
+            if run.mode == RunMode.RUN:
+                failures.append(error)
+                return None
+            reason = str(error) if isinstance(error, UserError) else _first_line(error)
+            keep_row(rows, run.job.num, run.overrides.task, {"failed": reason})
+            raise
+        if run.mode == RunMode.MULTIRUN:
+            keep_row(rows, run.job.num, run.overrides.task, headline)
+        return headline
 
     return task
 

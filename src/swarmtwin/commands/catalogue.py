@@ -3,11 +3,19 @@
 from typing import NamedTuple
 
 
+class Ranking(NamedTuple):
+    """How the runs of a sweep are ordered: by figures of theirs, the lowest first or the highest; else not at all."""
+
+    by: tuple[str, ...] = ()
+    highest_first: bool = False
+
+
 class Command(NamedTuple):
-    """A command: the module in this package that runs it, and what it does in one line."""
+    """A command: the module in this package that runs it, what it does in one line, and how a sweep's runs compare."""
 
     module: str
     summary: str
+    ranking: Ranking = Ranking()
 
 
 COMMANDS = {
@@ -15,14 +23,31 @@ COMMANDS = {
     "import": Command("import_recording", "foreign data become a recording"),
     "prepare": Command("prepare", "a recording becomes transitions: checked, counted, split by run"),
     "generate": Command(
-        "generate", "train a generator on real transitions and draw synthetic ones, or draw from a given one"
+        "generate",
+        "train a generator on real transitions and draw synthetic ones, or draw from a given one",
     ),
-    "train": Command("train", "train a dynamics model on transitions or on a recording"),
-    "evaluate": Command("evaluate", "a simulation model against measured runs: one-step, floor, open loop"),
-    "tune": Command("tune", "search hyper-parameters with Optuna, several processes on one study"),
+    "train": Command(
+        "train",
+        "train a dynamics model on transitions or on a recording",
+        Ranking(("validation_position_mm", "validation_orientation_deg")),
+    ),
+    "evaluate": Command(
+        "evaluate",
+        "a simulation model against measured runs: one-step, floor, open loop",
+        Ranking(("one_step_position_mm", "one_step_orientation_deg")),
+    ),
+    "tune": Command("tune", "search hyper-parameters with Optuna, several processes on one study", Ranking(("loss",))),
     "diagnose": Command("diagnose", "what a simulation gets wrong on measured data: cause, extended simulation, gain"),
-    "learn": Command("learn", "learn a policy, shared by all vehicles, in the simulated world"),
-    "rollout": Command("rollout", "a policy from the same starts in the simulation and on stand-ins, side by side"),
+    "learn": Command(
+        "learn",
+        "learn a policy, shared by all vehicles, in the simulated world",
+        Ranking(("evaluation_success",), True),
+    ),
+    "rollout": Command(
+        "rollout",
+        "a policy from the same starts in the simulation and on stand-ins, side by side",
+        Ranking(("stand_in_success",), True),
+    ),
     "promote": Command("promote", "make a registered model the champion, if it passes the gate; or roll back"),
     "experiment": Command("experiment", "a table or figure of the paper, or an overview of the pipeline"),
 }

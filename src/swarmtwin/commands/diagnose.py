@@ -1,7 +1,7 @@
 """`swarmtwin diagnose`: what a simulation gets wrong on measured data, why, and what an extended simulation gains."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 from rich import box
@@ -48,8 +48,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Diagnose, save the diagnosis, the extended simulation and the report, track and register.
+def run(options: Options) -> dict[str, Any]:
+    """Diagnose, save the diagnosis, the extended simulation and the report, track and register; return the verdict.
 
     Raises:
         UserError: neither or unusable reference or simulation, an unusable measured recording, or the output is taken.
@@ -98,6 +98,12 @@ def run(options: Options) -> None:
     Console().print(table(diagnosed.result))
     page = "report.html" if options.pictures else "diagnosis.json"
     Console().print(f"{output / page}: {registered}", highlight=False, soft_wrap=True)
+    return {
+        "verdict": diagnosed.result.verdict,
+        "causes": ", ".join(cause.name for cause in diagnosed.result.causes),
+        **{f"{when}_position_mm": getattr(diagnosed.result.gain.position_mm, when) for when in ("before", "after")},
+        "output": str(output),
+    }
 
 
 def _track(tracked: TrackedRun, output: Path, diagnosed: DiagnosedSession) -> None:

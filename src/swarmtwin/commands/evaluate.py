@@ -1,6 +1,7 @@
 """`swarmtwin evaluate`: a simulation model against measured runs."""
 
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -30,8 +31,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Measure the model, save figures and pictures, track the run and show a table.
+def run(options: Options) -> dict[str, Any]:
+    """Measure the model, save figures and pictures, track the run and show a table; return its errors.
 
     Raises:
         UserError: no such model or recording, they do not fit each other, or the output is taken.
@@ -52,9 +53,12 @@ def run(options: Options) -> None:
             about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
             save_measurement(folder, measurement, recording.header.arena_mm, about)
             draw_evaluation(folder, folder)
-        tracked.metrics(measurement.overall.tracked())
+        figures = measurement.overall.tracked()
+        tracked.metrics(figures)
         tracked.warnings(recording.warnings)
         tracked.tag("simulation.digest", folder_digest(simulation))
         tracked.folder(options.output, "evaluation")
     Console().print(measurement_table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)
+    shown = ("one_step_position_mm", "one_step_orientation_deg", "floor_position_mm", "open_loop_mm")
+    return {**{name: figures[name] for name in shown if name in figures}, "output": str(options.output)}

@@ -13,18 +13,22 @@ def studies() -> list[str]:
     return sorted(file.parent.name for file in folder.glob("*/study.py"))
 
 
-def chosen_study(arguments: Sequence[str]) -> str | None:
-    """Return the study that `name=...` chooses; None where only help is asked for, and on none of them.
+def chosen_studies(arguments: Sequence[str]) -> list[str]:
+    """Return the study that `name=...` chooses, or the several of a sweep; none where only help is asked for.
 
     Raises:
-        UserError: none is chosen, or there is no such study.
+        UserError: none is chosen, there is no such study, or several are chosen without `-m`.
     """
     known = studies()
-    chosen = [argument.partition("=")[2] for argument in arguments if argument.startswith("name=")]
-    if not chosen:
+    given = [argument for argument in arguments if argument.startswith("name=")]
+    if not given:
         if "--help" in arguments:
-            return None
+            return []
         raise UserError(f"say which: name=..., {near_miss('', known)}")
-    if chosen[-1] not in known:
-        raise UserError(f"no such experiment: {chosen[-1]!r}: {near_miss(chosen[-1], known)}")
-    return chosen[-1]
+    chosen = [word.strip() for word in given[-1].partition("=")[2].split(",")]
+    for name in chosen:
+        if name not in known:
+            raise UserError(f"no such experiment: {name!r}: {near_miss(name, known)}")
+    if len(chosen) > 1 and not {"-m", "--multirun"} & set(arguments):
+        raise UserError(f"{given[-1]} is a sweep: add -m")
+    return chosen

@@ -47,8 +47,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Train a generator and draw from it, or draw from the one given.
+def run(options: Options) -> dict[str, Any]:
+    """Train a generator and draw from it, or draw from the one given; return how good that is, if it was measured.
 
     Raises:
         UserError: no usable transitions or generator, one of another robot, or the output is taken.
@@ -60,7 +60,7 @@ def run(options: Options) -> None:
     return _train(options, options.robot)
 
 
-def _draw_from(options: Options, source: Path) -> None:
+def _draw_from(options: Options, source: Path) -> dict[str, Any]:
     description = read_description(source)
     _check_alone(options, description.robot, source)
     output = output_folder(options.output, "generate", f"{description.robot.name}-{description.generator['name']}")
@@ -71,6 +71,7 @@ def _draw_from(options: Options, source: Path) -> None:
         drawn = draw_believable(generator, options.count or description.lineage.real_transitions, options.seed)
         save_drawn(folder / TRANSITIONS, source, generator, description.lineage, drawn, options.seed)
     _say(_drawn_text(output, drawn))
+    return {"transitions": len(drawn.rows), "output": str(output)}
 
 
 def _check_alone(options: Options, robot: Robot, source: Path) -> None:
@@ -87,7 +88,7 @@ def _check_alone(options: Options, robot: Robot, source: Path) -> None:
         raise UserError(f"{source} was made for another {said!r} than conf/robot states: leave robot=... out")
 
 
-def _train(options: Options, robot: Robot) -> None:
+def _train(options: Options, robot: Robot) -> dict[str, Any]:
     config = generator_config(options.generator, "generator")
     transitions, preparation, source = training_transitions(
         robot, options.transitions, options.recording, options.vehicles, options.split
@@ -122,6 +123,9 @@ def _train(options: Options, robot: Robot) -> None:
     Console().print(_table(name, made.quality))
     _say(_drawn_text(output, made.drawn))
     _say(f"the generator, to give away, learned from {made.lineage.real_transitions} real ones: {output / GENERATOR}")
+    figures = made.quality.tracked()
+    shown = ("told_apart", "precision", "recall", "nearer_to_learned", "exact_copies")
+    return {**{name: figures[name] for name in shown}, "output": str(output)}
 
 
 def _track(tracked: TrackedRun, made: Synthesis, seconds: float) -> None:

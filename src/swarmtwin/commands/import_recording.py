@@ -38,8 +38,8 @@ class Options(StrictModel):
         return self
 
 
-def run(options: Options) -> None:
-    """Import, check that the recording can be read, and show what it holds.
+def run(options: Options) -> dict[str, Any]:
+    """Import, check that the recording can be read, show what it holds, and return how much.
 
     Raises:
         UserError: the source is unknown, its data are missing or damaged, or the output is taken.
@@ -52,6 +52,7 @@ def run(options: Options) -> None:
         recording = read_recording(folder, options.robot)
         transitions, counts = from_recording(recording)
     Console().print(_summary(recording, transitions, counts))
+    return {"runs": len(recording.runs), "transitions": counts.kept, "output": str(options.output)}
 
 
 def _summary(recording: Recording, transitions: Transitions, counts: Counts) -> Table:

@@ -56,8 +56,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Learn, save the policy's folder, track the run and register the policy.
+def run(options: Options) -> dict[str, Any]:
+    """Learn, save the policy's folder, track the run and register the policy; return how it did in evaluation.
 
     Raises:
         UserError: no such simulation, task or algorithm, they do not fit each other, every seed failed, or the output
@@ -93,6 +93,7 @@ def run(options: Options) -> None:
             registered = _challenge(options, version, output, task, simulation)
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
+    return {**_evaluation(provenance), "output": str(output)}
 
 
 def _simulation(options: Options) -> tuple[str, Path]:
@@ -151,13 +152,16 @@ def _jobs(
 
 
 def _track(tracked: TrackedRun, results: Sequence[SeedResult], provenance: PolicyProvenance, seconds: float) -> None:
-    evaluation = provenance.evaluation.model_dump(exclude={"step"})
-    tracked.metrics({f"evaluation_{name}": value for name, value in evaluation.items()})
+    tracked.metrics(_evaluation(provenance))
     tracked.metrics({"training_s": seconds, "failed_seeds": sum(result.failed is not None for result in results)})
     best = next(result for result in results if result.seed == provenance.seed)
     tracked.history((evaluation.step, evaluation.model_dump(exclude={"step"})) for evaluation in best.history)
     tracked.tag("simulation.digest", provenance.simulation.digest)
     tracked.tag("simulation.origin", provenance.simulation.origin)
+
+
+def _evaluation(provenance: PolicyProvenance) -> dict[str, float]:
+    return {f"evaluation_{name}": figure for name, figure in provenance.evaluation.model_dump(exclude={"step"}).items()}
 
 
 def _table(name: str, provenance: PolicyProvenance) -> Table:

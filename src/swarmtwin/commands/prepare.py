@@ -1,6 +1,7 @@
 """`swarmtwin prepare`: a recording becomes transitions, checked, counted by reason and split by run."""
 
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -26,8 +27,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Prepare a recording and show what was kept, what was dropped and why.
+def run(options: Options) -> dict[str, Any]:
+    """Prepare a recording and show what was kept, what was dropped and why; return how many were kept.
 
     Raises:
         UserError: the recording is at fault, has too few runs to split, or the output is taken.
@@ -46,6 +47,7 @@ def run(options: Options) -> None:
         Console().print(table)
     for warning in preparation.warnings:
         Console().print(f"warning: {warning}", highlight=False, soft_wrap=True)
+    return {"transitions": counts.kept, "dropped": counts.considered - counts.kept, "output": str(options.output)}
 
 
 def summary(preparation: Preparation) -> tuple[Table, Table]:

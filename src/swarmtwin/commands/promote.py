@@ -1,7 +1,7 @@
 """`swarmtwin promote`: the gate that a registered model passes to become the champion, and the way back."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 from rich.console import Console
@@ -26,8 +26,8 @@ class Options(StrictModel):
     rollback: bool
 
 
-def run(options: Options) -> None:
-    """Promote the candidate or refuse it, saying why; or roll back.
+def run(options: Options) -> dict[str, Any]:
+    """Promote the candidate or refuse it, saying why; or roll back; return what was answered.
 
     Raises:
         RefusedError: the gate refuses.
@@ -48,3 +48,4 @@ def run(options: Options) -> None:
             options.policy_gate,
         )
     Console().print(answer, highlight=False)
+    return {"output": answer}

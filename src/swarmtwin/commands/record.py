@@ -39,8 +39,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Record, and show what the recording holds. Nothing in it tells which effects were on, or that any were.
+def run(options: Options) -> dict[str, Any]:
+    """Record, show what the recording holds, and return how much. Nothing in it tells which effects were on, if any.
 
     Raises:
         UserError: the robot has no stand-in, an effect or the drive makes no sense, or the output is taken.
@@ -53,6 +53,7 @@ def run(options: Options) -> None:
         write_exact_means(folder, exact_means_of(footage, recording))
         _, counts = from_recording(recording)
     Console().print(_summary(options.output, recording, counts))
+    return {"runs": len(recording.runs), "transitions": counts.kept, "output": str(options.output)}
 
 
 def plan_session(options: Options) -> StandInSession:

@@ -49,8 +49,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Roll out, save figures, every step, pictures and the film, track the run and show a table.
+def run(options: Options) -> dict[str, Any]:
+    """Roll out, save figures, every step, pictures and the film, track the run and show a table; return them.
 
     Raises:
         UserError: no such policy or simulation, they do not fit each other or the vehicles, too few roll-outs, or the
@@ -80,8 +80,10 @@ def run(options: Options) -> None:
             about = {"robot": options.robot.name, "task": policy.task.name}
             save_rollout(folder, rollouts, metrics, about)
             draw_rollout(folder, folder)
-        tracked.metrics(tracked_figures(metrics))
+        figures = tracked_figures(metrics)
+        tracked.metrics(figures)
         tracked.tag("policy.digest", given.digest)
         tracked.folder(options.output, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
     Console().print(f"figures, pictures and film: {options.output}", highlight=False, soft_wrap=True)
+    return {**figures, "output": str(options.output)}

@@ -50,8 +50,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Train, save the model's folder, track the run and register the model.
+def run(options: Options) -> dict[str, Any]:
+    """Train, save the model's folder, track the run and register the model; return its errors on validation runs.
 
     Raises:
         UserError: no usable transitions, an unknown model, every seed dead, or the output is taken.
@@ -82,7 +82,8 @@ def run(options: Options) -> None:
             if options.pictures:
                 draw_training(folder, folder)
             shutil.rmtree(folder / "checkpoints", ignore_errors=True)
-        _track(tracked, trained, provenance, time.monotonic() - started)
+        seconds = time.monotonic() - started
+        _track(tracked, trained, provenance, seconds)
         tracked.warnings(data.preparation.warnings)
         kept = tracked.model(output, "dynamics")
         registered = "not registered"
@@ -94,6 +95,7 @@ def run(options: Options) -> None:
             registered = challenge_by_errors(tracked, version, errors, validation.digest())
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
+    return {**_errors(provenance), "training_s": round(seconds, 1), "output": str(output)}
 
 
 def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:
@@ -108,7 +110,7 @@ def _train(options: Options, config: ModelConfig, transitions: Transitions, chec
 
 
 def _track(tracked: TrackedRun, trained: Trained, provenance: Provenance, seconds: float) -> None:
-    tracked.metrics({f"validation_{key}": value for key, value in provenance.chosen.errors.items()})
+    tracked.metrics(_errors(provenance))
     tracked.metrics({"training_s": seconds, "dead_seeds": len(trained.dead_seeds)})
     tracked.history((number, epoch._asdict()) for number, epoch in enumerate(trained.best.history, start=1))
     tracked.tag("recording", provenance.recording)
@@ -116,6 +118,10 @@ def _track(tracked: TrackedRun, trained: Trained, provenance: Provenance, second
     tracked.tag("origin", provenance.origin)
     if provenance.generator:
         tracked.tag("generator.digest", provenance.generator.digest)
+
+
+def _errors(provenance: Provenance) -> dict[str, float]:
+    return {f"validation_{name}": error for name, error in provenance.chosen.errors.items()}
 
 
 def _table(name: str, provenance: Provenance) -> Table:

@@ -1,11 +1,16 @@
 """`swarmtwin tune`: hyper-parameters searched with Optuna, by several processes on one study."""
 
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import optuna
 import yaml
+from hydra.core.hydra_config import HydraConfig
+from optuna.trial import TrialState
 from pydantic import Field
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -36,10 +41,11 @@ class Options(StrictModel):
     seed: Seed
     study: str | None
     storage: str | None
+    prune: bool
 
 
-def run(options: Options) -> None:
-    """Search until the study holds as many trials as asked for; show the best.
+def run(options: Options) -> dict[str, Any]:
+    """Search until the study holds as many trials as asked for; show the best, and return it.
 
     Raises:
         UserError: an option of the space does not exist, the data or the storage are at fault, the study was made for
@@ -52,11 +58,26 @@ def run(options: Options) -> None:
     best = Path("outputs/tune") / f"{study.study_name}.yaml"
     best.parent.mkdir(parents=True, exist_ok=True)
     write_text(best, yaml.safe_dump({"loss": study.best_value, **study.best_params}, sort_keys=False))
-    found = " ".join(f"{name}={_text(value)}" for name, value in study.best_params.items())
-    chosen = f"robot={options.robot.name} model={options.model['name']} {found}"
     Console().print(_table(study))
-    Console().print(f"train with it: swarmtwin train {chosen}", highlight=False)
-    Console().print(f"best values: {best}", highlight=False)
+    command = shlex.join(["swarmtwin", "train", *_training_options(options, study.best_params)])
+    Console().print(f"train with it: {command}", highlight=False, soft_wrap=True)
+    Console().print(f"best values: {best}", highlight=False, soft_wrap=True)
+    return {"loss": study.best_value, **study.best_trial.user_attrs, "trials": len(study.trials), "output": str(best)}
+
+
+def _training_options(options: Options, found: Mapping[str, Any]) -> list[str]:
+    """Return the options that this call was given and `train` takes as well, then the values found."""
+    given, kept = [], {}
+    if HydraConfig.initialized():
+        given = list(HydraConfig.get().overrides.task)
+        sources = HydraConfig.get().runtime.config_sources
+        kept = {one.path: f"--config-dir={one.path}" for one in sources if one.provider == "command-line"}
+    for option in given:
+        name = option.partition("=")[0].lstrip("+~")
+        if name not in found and name.split(".")[0] not in ("space", "trials", "workers", "prune", "study", "storage"):
+            kept[name] = option
+    chosen = {"robot": f"robot={options.robot.name}", "model": f"model={options.model['name']}"}
+    return [*(chosen | kept).values(), *(f"{name}={value}" for name, value in found.items())]
 
 
 def _text(value: Any) -> str:
@@ -67,10 +88,17 @@ def _table(study: optuna.Study) -> Table:
     ranked = sorted(complete_trials(study), key=lambda trial: trial.value or 0)
     names = list(ranked[0].params)
     table = Table(
-        "trial", "loss", "position mm", "orientation °", *names, title=f"study {study.study_name}: best trials"
+        title=f"study {study.study_name}: best trials", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
     )
+    for heading in ("trial", "loss", "position\nmm", "orientation\n°", *(name.replace(".", ".\n") for name in names)):
+        table.add_column(heading, justify="right", overflow="fold")
     for trial in ranked[:10]:
         errors = [trial.user_attrs[f"validation_{error}"] for error in ("position_mm", "orientation_deg")]
         values = [trial.params[name] for name in names]
         table.add_row(str(trial.number), *map(_text, [trial.value, *errors, *values]))
+    broken_off = len(study.get_trials(deepcopy=False, states=[TrialState.PRUNED]))
+    table.caption = (
+        f"of {len(study.trials)} trials, {broken_off} broken off early; errors on validation runs; "
+        f"each trial's run in MLflow: {study.study_name} trial N"
+    )
     return table

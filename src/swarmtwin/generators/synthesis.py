@@ -14,7 +14,6 @@ from swarmtwin.generators.training import Record, Report, fit
 from swarmtwin.learning.device import Device
 from swarmtwin.transitions import Preparation, Transitions, first_runs
 from swarmtwin.transitions.preparation import save_preparation
-from swarmtwin.transitions.transitions import Split
 
 GENERATOR, TRANSITIONS = "generator", "transitions"
 
@@ -44,6 +43,9 @@ def synthesise(
 ) -> Synthesis:
     """Train, draw, and compare with real transitions that the generator has not seen.
 
+    Those are the validation split: no generator is fitted to it or chosen by it, but generators are chosen by these
+    figures, and the test split is kept from all choices.
+
     Args:
         transitions: real ones, with their splits.
         preparation: how they came about.
@@ -58,10 +60,9 @@ def synthesise(
     generator, history = fit(learned_from, config, seed, report, device)
     lineage = Lineage.of(preparation, learned_from, seed)
     drawn = draw_believable(generator, count or lineage.real_transitions, seed)
-    split: Split = "test" if len(transitions.part("test")) else "validation"
     rows = generator.columns.rows
-    sets = Sets(drawn.rows, rows(learned_from.part("train")), rows(transitions.part(split)))
-    quality = assess(generator.columns, sets, split, drawn.redrawn_share, seed)
+    sets = Sets(drawn.rows, rows(learned_from.part("train")), rows(transitions.part("validation")))
+    quality = assess(generator.columns, sets, "validation", drawn.redrawn_share, seed)
     return Synthesis(generator, history, lineage, drawn, sets, quality)
 
 

@@ -20,7 +20,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.robot import StrictModel
 
 MADE_FOR = "made_for"
-DONE = (TrialState.COMPLETE, TrialState.FAIL)
+DONE = (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
 
 
 def identity(parts: Mapping[str, Any]) -> dict[str, str]:

@@ -17,6 +17,7 @@ import yaml
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
+from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.recording import Header, Recording, Track, fault
 from swarmtwin.recordings.tables import parse_run
@@ -32,6 +33,8 @@ logger = logging.getLogger(__name__)
 
 def read_recording(folder: Path, robot: Robot) -> Recording:
     """Read the recording of `robot` in `folder`, and judge it as a whole. Nothing in it is modified.
+
+    Where there are few runs, long ones are cut into blocks, which count as runs from here on: see `in_blocks`.
 
     Faults of single rows are counted in `Recording.dropped_rows` and logged in one line; what is unusual of the whole
     is in `Recording.warnings`, and logged.
@@ -70,6 +73,11 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
         raise UserError(f"{folder}: {error}") from None
     for warning in warnings:
         logger.warning("%s: %s", folder, warning)
+    blocks = in_blocks(recording.tracks)
+    if len(blocks) > len(recording.tracks):
+        cut = replace(recording, tracks=blocks)
+        logger.info("%s: %d runs, taken as %d blocks", folder, len(recording.runs), len(cut.runs))
+        recording = cut
     return replace(recording, warnings=warnings)
 
 

@@ -13,6 +13,7 @@ from swarmtwin.dynamics.evaluation import ErrorFigure
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.learning.situation import Situation
+from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.exact_means import EXACT_MEANS_FILE, has_exact_means, read_exact_means
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.robot import Robot, SituationPart
@@ -280,7 +281,7 @@ def _exact_means(transitions: Transitions, folder: Path) -> pd.DataFrame:
     stored = read_exact_means(folder)
     asked = pd.DataFrame(
         {
-            "run": np.array(transitions.runs)[transitions.run],
+            "run": np.array([run_of(name) for name in transitions.runs])[transitions.run],
             "vehicle": np.array(transitions.vehicles)[transitions.vehicle],
             "time_s": transitions.time_s.round(3),
         }

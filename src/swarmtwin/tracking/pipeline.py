@@ -1,7 +1,9 @@
 """Which code each stage of `dvc.yaml` computes with, followed from its command through imports.
 
-`make dependencies` (`python -m swarmtwin.tracking.pipeline`) writes the `src/...` lines of every stage's `deps:`; a
-test compares. Folders of data and artifacts, and parameters, stand in `dvc.yaml` as they are written there by hand.
+`make dependencies` (`python -m swarmtwin.tracking.pipeline`) writes the `artifacts/code/...` lines of every stage's
+`deps:`; a test compares. They stand for the files in `src/swarmtwin/`, of which the stage `code` writes what they do
+(`bare_code.py`): it hangs on all of them and the others on it, so that `dvc repro` always looks at the code first.
+Folders of data and artifacts, and parameters, stand in `dvc.yaml` as they are written there by hand.
 The module is in `tracking/` because it answers the question of that room, what a result came from; it reads the other
 rooms as text and imports none of them.
 
@@ -113,7 +115,8 @@ class Pipeline:
         files = set().union(*(self.code[stage.name] for stage in stages))
         spelled = {file: self._spelled(file, stages) for file in files}
         whole = {file for file, text in spelled.items() if text == str(file)}
-        return sorted({*spelled.values()} - set(map(str, whole)) | set(map(str, self._folders(whole))))
+        paths = {*spelled.values()} - set(map(str, whole)) | set(map(str, self._folders(whole)))
+        return sorted(path.replace("src/swarmtwin/", "artifacts/code/", 1) for path in paths)
 
     def _spelled(self, file: Path, stages: Sequence[Stage]) -> str:
         """Return how the name of a file follows from the items of those stages that hang on it; else its name."""
@@ -144,7 +147,7 @@ def with_dependencies(pipeline: Pipeline) -> str:
         if indent is not None and not line.startswith(f"{indent}- "):
             lines += [f"{indent}- {path}" for path in pipeline.code_of_template(stage)]
             indent = None
-        if indent is None or not line.startswith(f"{indent}- src/"):
+        if indent is None or not line.startswith(f"{indent}- artifacts/code/"):
             lines.append(line)
         if found := re.fullmatch(r"( +)deps:", line):
             indent = f"{found[1]}  "

@@ -228,7 +228,9 @@ def _tags(hashes: Mapping[Path, str], seed: int | None) -> dict[str, str]:
         tags["seed"] = str(seed)
     if commit := _git("rev-parse", "HEAD"):
         tags["mlflow.source.git.commit"] = commit
-        tags["git.uncommitted_changes"] = str(bool(_git("status", "--porcelain", "--untracked-files=no"))).lower()
+        locks = (":(top,exclude)dvc.lock", ":(top,exclude)*.dvc")  # what runs leave, not what they are run with
+        changes = _git("status", "--porcelain", "--untracked-files=no", "--", ":(top)", *locks)
+        tags["git.uncommitted_changes"] = str(bool(changes)).lower()
     return tags | {f"dvc.{folder}": found for folder, found in hashes.items()}
 
 

@@ -1,4 +1,4 @@
-"""The stages of `dvc.yaml`, one for each robot, model and policy, as DVC multiplies them out."""
+"""The stages of `dvc.yaml` that run a command, one for each robot, model and policy, as DVC multiplies them out."""
 
 import shlex
 from collections.abc import Mapping
@@ -56,10 +56,14 @@ class Stage:
 
 
 def read_stages(repository: Path) -> dict[str, Stage]:
-    """Return every stage of a repository's `dvc.yaml`, by name."""
+    """Return every stage of a repository's `dvc.yaml` that runs a command of swarmtwin, by name."""
     with Repo(str(repository)) as repo:
         graph = repo.index.graph
-        return {node.name: _stage(node, graph) for node in graph if isinstance(node, PipelineStage)}
+        return {node.name: _stage(node, graph) for node in graph if _runs_command(node)}
+
+
+def _runs_command(node: Any) -> bool:
+    return isinstance(node, PipelineStage) and "swarmtwin" in shlex.split(node.cmd)
 
 
 def _stage(node: Any, graph: Any) -> Stage:
@@ -76,7 +80,7 @@ def _stage(node: Any, graph: Any) -> Stage:
         deps=tuple(entry.def_path for entry in node.deps if entry not in parameters),
         params={entry.def_path: list(entry.params) for entry in parameters},
         outs=tuple(entry.def_path for entry in node.outs),
-        upstream=tuple(other.name for other in upstream[1:] if isinstance(other, PipelineStage)),
+        upstream=tuple(other.name for other in upstream[1:] if _runs_command(other)),
     )
 
 

@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pandas as pd
 from rich.console import Console
@@ -57,8 +57,8 @@ class Entry:
     measurements: dict[str, Measurement]
 
 
-def run(options: Options) -> None:
-    """Measure all models, save table, pictures and the best of them, and show the table.
+def run(options: Options) -> dict[str, Any]:
+    """Measure all models, save table, pictures and the best of them, and show the table; return the best one's errors.
 
     Raises:
         UserError: there is no model, a recording is missing, or the output is taken.
@@ -86,6 +86,9 @@ def run(options: Options) -> None:
         tracked.tag("best_model", best.name)
         tracked.folder(options.output, "comparison")
     Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
+    one_step = best.measurements["train_vehicle"].overall.one_step
+    figures = {"position_mm": one_step.position_mm, "orientation_deg": one_step.orientation_deg}
+    return {"best_model": best.name, **figures, "output": str(options.output)}
 
 
 def best_entry(entries: Sequence[Entry]) -> Entry:
@@ -133,6 +136,9 @@ def _entries(options: Options, folders: Sequence[Path], recordings: Mapping[str,
 def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> None:
     metrics = {e.name: {name: m.metrics() for name, m in e.measurements.items()} for e in entries}
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
+    (folder / "summary").mkdir()
+    for entry in entries:
+        write_text(folder / "summary" / f"{entry.name}.json", json.dumps(_summary(entry), indent=1) + "\n")
     rows = [
         {
             "model": entry.name,
@@ -151,3 +157,16 @@ def _save(folder: Path, entries: Sequence[Entry], best: Entry, arena: Arena) -> 
     (folder / "open_loop").mkdir()
     for entry in entries:
         save_open_loop(folder / "open_loop" / f"{entry.name}.parquet", entry.measurements["open_loop"].runs, arena)
+
+
+def _summary(entry: Entry) -> dict[str, float]:
+    """Return the figures that experiments are compared by, as `dvc metrics show` prints them."""
+    here, elsewhere = (entry.measurements[name].overall for name in ("train_vehicle", "other_vehicle"))
+    loop = entry.measurements["open_loop"].overall.open_loop
+    figures = {
+        "position_mm": here.one_step.position_mm,
+        "orientation_deg": here.one_step.orientation_deg,
+        "floor_mm": here.floor.position_mm,
+        "other_vehicle_mm": elsewhere.one_step.position_mm,
+    }
+    return figures | ({"open_loop_mm": loop.rmse_mm} if loop else {})

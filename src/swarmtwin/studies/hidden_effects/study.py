@@ -111,8 +111,8 @@ def learned_reference(robot: Robot, options: ReferenceOptions, seed: int) -> Ref
     return Reference.learn(recorded.transitions, seed)
 
 
-def run(options: Options) -> None:
-    """Draw the cases, diagnose each, count, save tables and figures, and show the most important ones.
+def run(options: Options) -> dict[str, Any]:
+    """Draw the cases, diagnose each, count, save tables and figures, show the most important ones; return them.
 
     Raises:
         UserError: a robot without a stand-in, an unknown kind of case, or the output is taken.
@@ -136,6 +136,7 @@ def run(options: Options) -> None:
     for table in study_tables(summary):
         console.print(table.drawn())
     console.print(f"tables and pictures: {options.output}", highlight=False, soft_wrap=True)
+    return {**_tracked(summary), "output": str(options.output)}
 
 
 def _results(options: Options, robots: list[Robot], cases: list[Case], file: Path) -> list[Result]:

@@ -3,7 +3,7 @@
 import base64
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader
@@ -88,8 +88,8 @@ PICTURES = {
 FILMS = {"transfer/{robot}/{policy}.mp4": "{policy}"}
 
 
-def run(options: Options) -> None:
-    """Show the tables and write the page.
+def run(options: Options) -> dict[str, Any]:
+    """Show the tables and write the page; return where it is.
 
     Raises:
         UserError: the pipeline has not run.
@@ -118,6 +118,7 @@ def run(options: Options) -> None:
     if films:
         console.print(f"the films: {', '.join(map(str, films))}", highlight=False, soft_wrap=True)
     console.print("every run, to compare: make ui", highlight=False, soft_wrap=True)
+    return {"output": str(options.output / "overview.html")}
 
 
 def _chapter(artifacts: Path, robot_name: str) -> Chapter:

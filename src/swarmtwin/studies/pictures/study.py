@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from rich.console import Console
 
@@ -45,8 +45,8 @@ class Options(StrictModel):
     overwrite: bool
 
 
-def run(options: Options) -> None:
-    """Draw what one command left, or what several left in one folder, and keep it with their runs.
+def run(options: Options) -> dict[str, Any]:
+    """Draw what one command left, or what several left in one folder, and keep it with their runs; return where.
 
     Raises:
         UserError: there is nothing that can be drawn, a file of it is missing or damaged, or the output is taken.
@@ -60,6 +60,7 @@ def run(options: Options) -> None:
             draw(folder, place)
             keep_with_run(folder, place)
     Console().print(f"pictures: {options.output}", highlight=False, soft_wrap=True)
+    return {"output": str(options.output)}
 
 
 def _made_folders(folder: Path) -> list[Path]:

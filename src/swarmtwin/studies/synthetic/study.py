@@ -88,8 +88,8 @@ class Outcome:
     measurements: dict[str, tuple[Measurement, ...]]
 
 
-def run(options: Options) -> None:
-    """Train every case, measure it, save table and picture, and show the table.
+def run(options: Options) -> dict[str, Any]:
+    """Train every case, measure it, save table and picture, and show the table; return the best case.
 
     Raises:
         UserError: no transitions or recording, an unknown case, or the output is taken.
@@ -120,6 +120,9 @@ def run(options: Options) -> None:
             tracked.metrics({f"{row['case']}/{row['recording']}/{name}": value for name, value in figures.items()})
         tracked.folder(options.output, "comparison")
     Console().print(case_table(options.robot.title, table))
+    measured = table[table.recording == "train_vehicle"].dropna(subset="position_mm").sort_values("position_mm")
+    figures = {f"best_{name}": row[name] for row in measured.head(1).to_dict("records") for name in ("case", *ERRORS)}
+    return {**figures, "output": str(options.output)}
 
 
 def _trainings(options: Options, cases: dict[str, Case], real: Prepared) -> Iterator[Training]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 from rich.console import Console
@@ -56,8 +57,8 @@ class Entry:
     metrics: dict[str, Any]
 
 
-def run(options: Options) -> None:
-    """Roll out every policy, save table, figures, every step, pictures and films, and show the table.
+def run(options: Options) -> dict[str, Any]:
+    """Roll out every policy, save table, figures, pictures and films, show the table; return mean successes.
 
     Raises:
         UserError: there is no policy of the robot, its simulation is missing, or the output is taken.
@@ -78,6 +79,11 @@ def run(options: Options) -> None:
         tracked.folder(options.output, "transfer")
     Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
     Console().print(f"pictures and films: {options.output}", highlight=False, soft_wrap=True)
+    success = {
+        f"{motion}_success": float(np.mean([entry.metrics[motion]["success"]["value"] for entry in entries]))
+        for motion in ("simulation", "stand_in")
+    }
+    return {**success, "output": str(options.output)}
 
 
 def policies_of(folder: Path, robot: Robot) -> list[StoredPolicy]:
@@ -108,6 +114,9 @@ def _entry(options: Options, policy: StoredPolicy) -> Entry:
 
 def _save(folder: Path, entries: Sequence[Entry]) -> None:
     write_text(folder / "metrics.json", json.dumps({e.name: e.metrics for e in entries}, indent=1) + "\n")
+    (folder / "summary").mkdir()
+    for entry in entries:
+        write_text(folder / "summary" / f"{entry.name}.json", json.dumps(_summary(entry), indent=1) + "\n")
     pd.DataFrame([_row(entry) for entry in entries]).to_csv(folder / "table.csv", index=False)
     steps = [
         rollout_table(motion, rollout).assign(policy=entry.name)
@@ -142,3 +151,14 @@ def _row(entry: Entry) -> dict[str, Any]:
         about[f"{motion}_reach_time_s"] = round(figures.reach_time_s, 2)
     difference = entry.metrics["reward_difference_percent"]
     return {**about, **{f"reward_difference_percent_{name}": round(value, 2) for name, value in difference.items()}}
+
+
+def _summary(entry: Entry) -> dict[str, float]:
+    """Return the figures that experiments are compared by, as `dvc metrics show` prints them: shares and rewards."""
+    vehicles = entry.metrics["stand_in"]
+    return {
+        "success": vehicles["success"]["value"],
+        "simulated_success": entry.metrics["simulation"]["success"]["value"],
+        "collision": vehicles["collision"]["value"],
+        "reward": vehicles["reward"]["mean"],
+    }

@@ -1,0 +1,70 @@
+"""Long runs of a recording that has few are taken as several; what has enough runs stays as it is."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from drives import drive, write_drive
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.reference import conditions_of, require_enough
+from swarmtwin.diagnosis.settings import ReferenceSettings
+from swarmtwin.recordings.blocks import in_blocks, run_of
+from swarmtwin.recordings.reading import read_recording
+from swarmtwin.transitions import SPLITS, from_recording, split_by_run
+from swarmtwin.transitions.splitting import Fractions
+
+
+@pytest.fixture
+def mgr(robots):
+    return robots["mgr"]
+
+
+def found_in(transitions, others):
+    """Where each of the transitions stands among others, by vehicle and time."""
+    times = {(others.vehicle[row], others.time_s[row]): row for row in range(len(others))}
+    return np.array([times[key] for key in zip(transitions.vehicle, transitions.time_s, strict=True)])
+
+
+@pytest.mark.parametrize("vehicles", [("1",), ("1", "2", "3")])
+def test_a_single_drive_is_a_session(mgr, vehicles, tmp_path):
+    tracks = drive(mgr, runs=1, steps=900, vehicles=vehicles)
+    recording = read_recording(write_drive(tmp_path / "one", mgr, tracks), mgr)
+    assert len(recording.runs) == 22  # of at least 40 periods
+    assert {run_of(name) for name in recording.runs} == {"run_00000"}
+    transitions, _ = from_recording(recording)
+    require_enough(MeasuredSession.of(transitions, conditions_of(transitions)), ReferenceSettings(), "measured")
+    split = split_by_run(transitions, Fractions(train=0.8, validation=0.1, test=0.1), seed=1)
+    assert set(split.split) == {0, 1, 2}
+    assert np.bincount(split.split, minlength=len(SPLITS)).min() > 0.05 * len(split)
+
+
+def test_blocks_share_no_measurement_and_lose_only_their_seams(mgr, tmp_path):
+    tracks = drive(mgr, runs=1, steps=900, vehicles=("1", "2"))
+    recording = read_recording(write_drive(tmp_path / "one", mgr, tracks), mgr)
+    cut, _ = from_recording(recording)
+    whole, _ = from_recording(dataclasses.replace(recording, tracks=tuple(tracks)))
+    row = found_in(cut, whole)
+    assert len(whole) - len(cut) == 2 * (len(recording.runs) - 1)
+    rounding = 5e-3  # what is written has three decimals, and headings turn what is 300 mm away
+    np.testing.assert_allclose(cut.displacement, whole.displacement[row], atol=rounding)
+    np.testing.assert_allclose(cut.neighbours, whole.neighbours[row], atol=rounding)
+    began = np.flatnonzero(np.isnan(cut.previous_command).any(axis=1))
+    assert len(began) == 2 * len(recording.runs)
+    assert (cut.just_before()[began] == -1).all()
+    rows = {(track.vehicle, time_s) for track in recording.tracks for time_s in track.time_s.round(3)}
+    assert len(rows) == sum(map(len, recording.tracks))  # every row is in one block alone
+
+
+def test_of_few_runs_the_long_ones_are_cut(mgr):
+    tracks = [*drive(mgr, runs=3, steps=400, vehicles=("1",)), *drive(mgr, runs=1, steps=30, vehicles=("1",))]
+    tracks[-1] = dataclasses.replace(tracks[-1], run="short")
+    blocks = in_blocks(tracks)
+    assert [sum(run_of(block.run) == name for block in blocks) for name in ("run_00000", "run_00001")] == [10, 10]
+    assert blocks[-1] is tracks[-1]
+    assert all(40 <= len(block) <= 41 for block in blocks[:-1])
+
+
+def test_what_has_enough_runs_stays_as_it_is(mgr):
+    tracks = tuple(drive(mgr, runs=8, steps=100))
+    assert all(block is track for block, track in zip(in_blocks(tracks), tracks, strict=True))

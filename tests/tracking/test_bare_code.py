@@ -1,0 +1,65 @@
+"""What code does, as text: equal where only comments, docstrings and layout differ, and different everywhere else."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from swarmtwin.tracking.bare_code import bare, write_bare_code
+
+SOURCE = Path(__file__).resolve().parents[2] / "src" / "swarmtwin"
+CODE = '''"""A module."""
+
+LIMIT = 3.0
+"""What it is."""
+
+
+class Empty:
+    """Nothing but this."""
+
+
+def half(value):  # a comment
+    """Return half of it."""
+    return value / 2
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("A module.", "The module, explained."),
+        ("  # a comment", ""),
+        ('"""What it is."""\n', ""),
+        ("Return half of it.", "Return it,\n    halved."),
+        ("return value / 2", "return (\n        value / 2\n    )"),
+        ('    """Nothing but this."""', "    pass"),
+    ],
+)
+def test_how_it_is_written_does_not_matter(old, new):
+    assert CODE.replace(old, new) != CODE
+    assert bare(CODE.replace(old, new)) == bare(CODE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [("/ 2", "/ 3"), ("3.0", "3"), ("half(value)", "half(value=1)"), ("return value", "value"), ("Empty", "Void")],
+)
+def test_what_it_does_does(old, new):
+    assert bare(CODE.replace(old, new)) != bare(CODE)
+
+
+def test_a_text_that_is_used_stays():
+    assert bare("print('# no comment')") != bare("print('')")
+    assert bare("def f():\n    return 'a text'") != bare("def f():\n    'a text'")
+
+
+def test_the_whole_package_is_kept_and_nothing_in_it_asks_for_docstrings(tmp_path):
+    write_bare_code(SOURCE, tmp_path)
+    files = {file.relative_to(SOURCE) for file in SOURCE.rglob("*.*") if "__pycache__" not in file.parts}
+    assert {file.relative_to(tmp_path) for file in tmp_path.rglob("*.*")} == files
+    for file in files:
+        text = (tmp_path / file).read_text()
+        if file.suffix == ".py":
+            assert bare(text) == text
+            names = {getattr(node, "attr", getattr(node, "id", "")) for node in ast.walk(ast.parse(text))}
+            assert not names & {"__doc__", "getdoc", "getsource", "cleandoc"}
