@@ -6,7 +6,6 @@ import importlib
 import logging
 import os
 import re
-import signal
 import sys
 import tempfile
 import time
@@ -25,6 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from swarmtwin import __version__
+from swarmtwin.commands import answer_interrupts
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
 from swarmtwin.commands.option_help import show_help
@@ -51,7 +51,8 @@ def run_command(name: str, arguments: list[str]) -> Status:
         ours: the line names a log file with the traceback.
     """
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    signal.signal(signal.SIGTERM, _interrupt)
+    if {"-m", "--multirun"} & set(arguments):
+        let_interrupts_unwind()
     _start_logging()
     arguments = _name_folders(name, arguments)
     sys.argv = [f"swarmtwin {name}", *arguments]
@@ -79,8 +80,9 @@ def run_command(name: str, arguments: list[str]) -> Status:
         return _report(name, f"a configuration is not valid YAML: {' '.join(str(error).split())}", Status.MISTAKE)
     except MemoryError:
         return _report(name, "out of memory: ask for less at a time", Status.MISTAKE)
-    except KeyboardInterrupt:
-        return _report(name, "interrupted; what had not finished was left out", Status.INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        came_of_it = str(interrupt) or "what had not finished was left out"
+        return _report(name, f"interrupted; {came_of_it}", Status.INTERRUPTED)
     except Exception as error:
         if isinstance(error, OSError) and (remedy := _system_remedy(error)):
             return _report(name, remedy, Status.MISTAKE)
@@ -146,6 +148,8 @@ def _task(module_name: str, failures: list[Exception]) -> Callable[[DictConfig],
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
             module = importlib.import_module(module_name)
+            if HydraConfig.get().mode == RunMode.RUN:
+                let_interrupts_unwind()
             return module.run(module.Options.parse(content, "options"))
         except Exception as error:
             if HydraConfig.get().mode != RunMode.RUN:
@@ -215,6 +219,11 @@ def _start_logging() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     for noisy in ("alembic", "mlflow", "lightning", "matplotlib", "fontTools", "hydra"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
+
+
+def let_interrupts_unwind() -> None:
+    """From here on, when something may have begun, Ctrl-C and SIGTERM are exceptions."""
+    answer_interrupts(_interrupt)
 
 
 def _interrupt(signal_number: int, frame: Any) -> NoReturn:

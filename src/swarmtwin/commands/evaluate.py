@@ -44,15 +44,17 @@ def run(options: Options) -> None:
     kind = read_description(simulation).model["name"]
     recording = read_vehicles(options.recording, options.robot, options.vehicles)
     name = f"{options.robot.name}-{kind} on {options.recording.name}"
-    with tracked_run("dynamics", f"evaluate {name}", settings, inputs) as tracked:
-        with new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder:
-            measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
-            about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
-            save_measurement(folder, measurement, recording.header.arena_mm, about)
-            draw_evaluation(folder, folder)
+    with (
+        new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("dynamics", f"evaluate {name}", settings, inputs) as tracked,
+    ):
+        measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
+        about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
+        save_measurement(folder, measurement, recording.header.arena_mm, about)
+        draw_evaluation(folder, folder)
         tracked.metrics(measurement.overall.tracked())
         tracked.warnings(recording.warnings)
         tracked.tag("simulation.digest", folder_digest(simulation))
-        tracked.folder(options.output, "evaluation")
+        tracked.folder(folder, "evaluation")
     Console().print(measurement_table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)

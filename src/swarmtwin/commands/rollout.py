@@ -61,25 +61,27 @@ def run(options: Options) -> None:
     policy = load_policy(folder_of_policy, options.robot)
     inputs = [folder_of_policy]
     name = f"{options.robot.name}-{policy.task.name}"
-    with tracked_run("transfer", f"rollout {name}", settings, inputs, options.seed) as tracked:
-        with new_folder(options.output, "rollout", settings, options.overwrite, inputs=inputs) as folder:
-            rollouts = roll_out_policy(
-                policy,
-                options.on,
-                count=options.count,
-                seed=options.seed,
-                simulation=options.simulation,
-                sampled=options.sampled,
-                device=options.device,
-                vehicles=options.vehicles,
-                effects=options.effects,
-            )
-            metrics = metrics_of(rollouts)
-            about = {"robot": options.robot.name, "task": policy.task.name}
-            save_rollout(folder, rollouts, metrics, about)
-            draw_rollout(folder, folder)
+    with (
+        new_folder(options.output, "rollout", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("transfer", f"rollout {name}", settings, inputs, options.seed) as tracked,
+    ):
+        rollouts = roll_out_policy(
+            policy,
+            options.on,
+            count=options.count,
+            seed=options.seed,
+            simulation=options.simulation,
+            sampled=options.sampled,
+            device=options.device,
+            vehicles=options.vehicles,
+            effects=options.effects,
+        )
+        metrics = metrics_of(rollouts)
+        about = {"robot": options.robot.name, "task": policy.task.name}
+        save_rollout(folder, rollouts, metrics, about)
+        draw_rollout(folder, folder)
         tracked.metrics(tracked_figures(metrics))
         tracked.tag("policy.digest", registry.folder_digest(folder_of_policy))
-        tracked.folder(options.output, "rollout")
+        tracked.folder(folder, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
     Console().print(f"figures, pictures and film: {options.output}", highlight=False, soft_wrap=True)

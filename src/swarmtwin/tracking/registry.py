@@ -155,7 +155,7 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
             raise UserError(f"{former} became champion meanwhile: promote {version} again, to be compared with that")
         client = mlflow.MlflowClient()
         if former:
-            _remember(client, version.name, [*_former_champions(client, version.name), str(former.number)])
+            _remember(client, version.name, [*_former_champions(client, former), str(former.number)])
         client.set_model_version_tag(version.name, str(version.number), "promoted_because", reason)
         client.set_registered_model_alias(version.name, CHAMPION, str(version.number))
 
@@ -171,7 +171,7 @@ def roll_back(name: str) -> tuple[int, int]:
         if demoted is None:
             raise UserError(f"{name} has no champion to roll back from; there are {_describe(versions(name))}")
         client = mlflow.MlflowClient()
-        former = _former_champions(client, name)
+        former = _former_champions(client, demoted)
         if not former:
             raise UserError(f"{demoted} is the first champion: there is none to roll back to")
         client.set_registered_model_alias(name, CHAMPION, former[-1])
@@ -183,8 +183,12 @@ def _names(client: mlflow.MlflowClient) -> list[str]:
     return sorted(model.name for model in client.search_registered_models(max_results=1000))
 
 
-def _former_champions(client: mlflow.MlflowClient, name: str) -> list[str]:
-    return [number for number in client.get_registered_model(name).tags.get(FORMER_CHAMPIONS, "").split(",") if number]
+def _former_champions(client: mlflow.MlflowClient, champion: Version) -> list[str]:
+    """Return the champions before this one, which a kill in the middle of a change may have left as the last."""
+    numbers = client.get_registered_model(champion.name).tags.get(FORMER_CHAMPIONS, "").split(",")
+    while numbers and numbers[-1] in ("", str(champion.number)):
+        numbers.pop()
+    return numbers
 
 
 def _remember(client: mlflow.MlflowClient, name: str, numbers: list[str]) -> None:

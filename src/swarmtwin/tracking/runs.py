@@ -7,7 +7,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from mlflow.entities import Metric
 from omegaconf import DictConfig
 
+from swarmtwin.files import CHECKPOINTS
 from swarmtwin.tracking.store import store_errors, use_experiment, use_store
 
 logger = logging.getLogger(__name__)
@@ -62,8 +63,10 @@ class TrackedRun:
 
     @store_errors()
     def folder(self, folder: Path, name: str) -> str:
-        """Keep a copy of a folder under `name`; return its URI."""
-        mlflow.log_artifacts(str(folder), name)
+        """Keep a copy of a folder under `name`, without the checkpoints in it; return its URI."""
+        for path in folder.iterdir():
+            if path.name != CHECKPOINTS:
+                mlflow.log_artifact(str(path), name)
         return mlflow.get_artifact_uri(name)
 
 
@@ -77,10 +80,9 @@ def tracked_run(
         UserError: the tracking store cannot be used.
     """
     tags = _tags(inputs, seed)
-    output = str(config["output"]) if config.get("output") else None
     with store_errors():
         use_experiment(experiment)
-        _close_orphans(experiment, output)
+        close_orphans(experiment)
         run = mlflow.start_run(run_name=name, tags=tags, parent_run_id=os.environ.get(PARENT_RUN))
     try:
         with store_errors():
@@ -89,25 +91,26 @@ def tracked_run(
             mlflow.log_text(yaml.safe_dump(dict(config), sort_keys=False), "config.yaml")
         yield TrackedRun(run.info.run_id)
     except BaseException as error:
-        mlflow.end_run("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
+        with suppress(Exception):  # the store may be what failed
+            mlflow.end_run("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
         raise
-    mlflow.end_run()
+    with store_errors():
+        mlflow.end_run()
 
 
-def _close_orphans(experiment: Experiment, output: str | None) -> None:
-    """Close as killed the runs for this output whose processes, on this machine, are no more."""
-    condition = _output_is(output) if output else None
-    if condition is None:
-        return
-    found = mlflow.search_runs(
-        experiment_names=[experiment],
-        filter_string=f"{condition} and attributes.status = 'RUNNING'",
-        output_format="list",
-    )
-    for run in found:
-        host, _, process = run.data.tags.get("process", "").partition(" ")
-        if host == socket.gethostname() and process.isdigit() and not _is_alive(int(process)):
-            mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
+def close_orphans(experiment: Experiment) -> None:
+    """Close as killed the experiment's runs whose processes, on this machine, are no more."""
+    with store_errors():
+        use_store()
+        found = mlflow.search_runs(
+            experiment_names=[experiment],
+            filter_string="attributes.status = 'RUNNING'",
+            output_format="list",
+        )
+        for run in found:
+            host, _, process = run.data.tags.get("process", "").partition(" ")
+            if host == socket.gethostname() and process.isdigit() and not _is_alive(int(process)):
+                mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
 
 
 def _is_alive(process: int) -> bool:
@@ -154,6 +157,7 @@ def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study
     tags = _tags((), None)
     with store_errors():
         use_experiment(experiment)
+        close_orphans(experiment)
         client = mlflow.MlflowClient()
         found = client.get_experiment_by_name(experiment)
         assert found is not None

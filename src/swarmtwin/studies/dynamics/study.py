@@ -15,7 +15,7 @@ from rich.console import Console
 
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.files import new_folder, write_text
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.simulation.evaluation import Measured, Measurement, load_simulation, measure
@@ -63,20 +63,21 @@ def run(options: Options) -> None:
     """
     settings = options.model_dump(mode="json")
     inputs = [options.models, *options.recordings.values()]
-    check_output(options.output, "experiment", options.overwrite, inputs)
-    with tracked_run("dynamics", f"{options.robot.name} models compared", settings, inputs) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            entries = _entries(options)
-            best = best_entry(entries)
-            _save(folder, entries, best, options.robot.arena_mm)
-            if options.pictures:
-                draw_comparison(folder, folder)
+    with (
+        new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("dynamics", f"{options.robot.name} models compared", settings, inputs) as tracked,
+    ):
+        entries = _entries(options)
+        best = best_entry(entries)
+        _save(folder, entries, best, options.robot.arena_mm)
+        if options.pictures:
+            draw_comparison(folder, folder)
         for entry in entries:
             for recording, measurement in entry.measurements.items():
                 figures = measurement.overall.tracked()
                 tracked.metrics({f"{entry.name}/{recording}/{key}": value for key, value in figures.items()})
         tracked.tag("best_model", best.name)
-        tracked.folder(options.output, "comparison")
+        tracked.folder(folder, "comparison")
     Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
 
 

@@ -65,15 +65,17 @@ def run(options: Options) -> None:
     settings, inputs = options.model_dump(mode="json"), [options.policies]
     check_output(options.output, "experiment", options.overwrite, inputs)
     policies = policies_of(options.policies, options.robot)
-    with tracked_run("transfer", f"{options.robot.name} policies", settings, inputs, options.seed) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            entries = [_entry(options, policy) for policy in policies]
-            _save(folder, entries)
-            if options.pictures:
-                draw_transfer(folder, folder)
+    with (
+        new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("transfer", f"{options.robot.name} policies", settings, inputs, options.seed) as tracked,
+    ):
+        entries = [_entry(options, policy) for policy in policies]
+        _save(folder, entries)
+        if options.pictures:
+            draw_transfer(folder, folder)
         for entry in entries:
             tracked.metrics(tracked_figures(entry.metrics, f"{entry.name}/"))
-        tracked.folder(options.output, "transfer")
+        tracked.folder(folder, "transfer")
     Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
     Console().print(f"pictures and films: {options.output}", highlight=False, soft_wrap=True)
 
