@@ -106,7 +106,7 @@ class Ended(NamedTuple):
     seconds: float
 
 
-def fork(arguments: list[str], folder: Path) -> int:
+def fork(arguments: list[str], folder: Path, place: Path) -> int:
     """Start a command in a process forked from this one, in a session and a folder of its own; return its id."""
     process = os.fork()
     if process:
@@ -116,7 +116,7 @@ def fork(arguments: list[str], folder: Path) -> int:
         os.setsid()
         os.chdir(folder)
         for number, name in ((1, "shown"), (2, "error")):
-            os.dup2(os.open(folder.parent / name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), number)
+            os.dup2(os.open(place / name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), number)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.argv = ["swarmtwin", *arguments]
         commands.main()
@@ -133,9 +133,9 @@ def fork(arguments: list[str], folder: Path) -> int:
     raise AssertionError
 
 
-def spawn(command: list[str], folder: Path) -> int:
+def spawn(command: list[str], folder: Path, place: Path) -> int:
     """Start a program in a session and a folder of its own; return its id."""
-    with (folder.parent / "shown").open("w") as shown, (folder.parent / "error").open("w") as error:
+    with (place / "shown").open("w") as shown, (place / "error").open("w") as error:
         return subprocess.Popen(
             command,
             cwd=folder,
@@ -146,7 +146,7 @@ def spawn(command: list[str], folder: Path) -> int:
         ).pid
 
 
-def ended(process: int, folder: Path, since: float, longest_s: float = 300) -> Ended:
+def ended(process: int, place: Path, since: float, longest_s: float = 300) -> Ended:
     """Wait until a process, and with it its whole group, has ended; kill it if that takes too long."""
     status = None
     while status is None and time.monotonic() - since < longest_s:
@@ -157,11 +157,11 @@ def ended(process: int, folder: Path, since: float, longest_s: float = 300) -> E
     if status is None:
         os.killpg(process, signal.SIGKILL)
         os.waitpid(process, 0)
-    error = (folder.parent / "error").read_text(errors="replace")
+    error = (place / "error").read_text(errors="replace")
     if not _group_ends(process):
         os.killpg(process, signal.SIGKILL)
         error += "\nTraceback: a child outlived it"
-    return Ended(-99 if status is None else status, (folder.parent / "shown").read_text(), error, seconds)
+    return Ended(-99 if status is None else status, (place / "shown").read_text(), error, seconds)
 
 
 def _group_ends(group: int) -> bool:
@@ -193,7 +193,7 @@ class Campaign:
     """The projects that commands die in, and what an undisturbed call leaves in them."""
 
     def __init__(self, place: Path, names: list[str]) -> None:
-        self.sound, self.project = place / "sound", place / "project"
+        self.place, self.sound, self.project = place, place / "sound", place / "project"
         self._undisturbed: dict[tuple[str, bool], Undisturbed] = {}
         self._former = place / "former"
         self.sound.mkdir()
@@ -247,7 +247,7 @@ class Campaign:
         program.write_text(f'#!/bin/sh\nPYTHONPATH={source} exec {sys.executable} -m swarmtwin_here "$@"\n')
         program.chmod(0o755)
         (repository / "src" / "swarmtwin_here.py").write_text("from swarmtwin.commands import main\nmain()\n")
-        (repository / ".gitignore").write_text("/.venv/\n/mlflow.db*\n/mlruns/\n*.partial\n__pycache__/\n")
+        shutil.copy(REPOSITORY / ".gitignore", repository)
         for command in (["git", "init", "--quiet"], [sys.executable, "-m", "dvc", "init", "--quiet"]):
             subprocess.run(command, cwd=repository, check=True)
 
@@ -260,16 +260,16 @@ class Campaign:
     def call(self, name: str, arguments: list[str], start: str = "here") -> Ended:
         """Call a command in the project, and wait for its end."""
         since = time.monotonic()
-        return ended(self.start(name, arguments, start), self.project, since)
+        return ended(self.start(name, arguments, start), self.place, since)
 
     def start(self, name: str, arguments: list[str], start: str) -> int:
         """Start a command in the project; return the process's id."""
         if name == PIPELINE:
             repro = [sys.executable, "-m", "dvc", "repro", "dynamics@mgr-kinematic"]
-            return spawn(repro, self.project / "repository")
+            return spawn(repro, self.project / "repository", self.place)
         if start == "console":
-            return spawn([str(BIN / "swarmtwin"), name, *arguments], self.project)
-        return fork([name, *arguments], self.project)
+            return spawn([str(BIN / "swarmtwin"), name, *arguments], self.project, self.place)
+        return fork([name, *arguments], self.project, self.place)
 
     def renew(self, before: str, name: str) -> None:
         """Bring the project back to what it was: with a "new" store, with runs, or with a "former" output."""
@@ -399,7 +399,7 @@ class Campaign:
         process = self.start(name, arguments, start)
         time.sleep(moment_s)
         kill(process, manner)
-        died = ended(process, self.project, since)
+        died = ended(process, self.place, since)
         whole = not self.unlike(name, before)
         faults = _faults_of_death(died, manner, name)
         again = self.call(name, arguments)
@@ -469,12 +469,16 @@ def failures(cases: list[Case]) -> list[Case]:
 def table(cases: list[Case]) -> str:
     """Return a table of what became of each command, in Markdown."""
     failed = failures(cases)
-    lines = ["| command | killed | interrupted | went on | output was whole | failed |", "| --- |" + " --- |" * 5]
+    heads = ("command", "killed", "interrupted", "went on", "output was whole", "came too late", "failed")
+    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
     for name in dict.fromkeys(case.command for case in cases) | {"all": None}:
         own = [case for case in cases if name in (case.command, "all")]
         killed = sum("SIGKILL" in case.manner for case in own)
-        ends = collections.Counter("failed" if case in failed else case.outcome for case in own)
-        counts = (ends["went on"], ends["its output was whole"], ends["failed"])
+        ends = collections.Counter(
+            "failed" if case in failed else "too late" if case.died == "finished before" else case.outcome
+            for case in own
+        )
+        counts = (ends[end] for end in ("went on", "its output was whole", "too late", "failed"))
         lines.append(f"| {' | '.join(map(str, (name, killed, len(own) - killed, *counts)))} |")
     return "\n".join(lines)
 
