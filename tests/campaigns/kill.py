@@ -107,16 +107,21 @@ class Ended(NamedTuple):
 
 
 def fork(arguments: list[str], folder: Path, place: Path) -> int:
-    """Start a command in a process forked from this one, in a session and a folder of its own; return its id."""
+    """Start a command in a process forked from this one, in a group and a folder of its own; return its id."""
+    streams = [os.open(place / name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC) for name in ("shown", "error")]
     process = os.fork()
     if process:
+        for stream in streams:
+            os.close(stream)
+        with contextlib.suppress(OSError):  # both do it: whoever comes first
+            os.setpgid(process, process)
         return process
     status = 1
     try:
-        os.setsid()
+        os.setpgid(0, 0)
         os.chdir(folder)
-        for number, name in ((1, "shown"), (2, "error")):
-            os.dup2(os.open(place / name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), number)
+        for number, stream in enumerate(streams, start=1):
+            os.dup2(stream, number)
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.argv = ["swarmtwin", *arguments]
         commands.main()
@@ -187,6 +192,49 @@ def kill(process: int, manner: str) -> None:
                     os.kill(int(child), signal.SIGKILL)
                 time.sleep(0.05)
             os.killpg(process, signal.SIGKILL)
+
+
+def databases(project: Path) -> Iterator[sqlite3.Cursor]:
+    """Give a cursor of each store in a project."""
+    for file in (project / "mlflow.db", project / "repository" / "mlflow.db"):
+        if file.exists():
+            with contextlib.closing(sqlite3.connect(file)) as connection:
+                yield connection.cursor()
+
+
+def registered(project: Path) -> dict[str, str]:
+    """Return the digest of what each alias of a registered model leads to, as the files say."""
+    found = {}
+    query = (
+        "SELECT a.name, a.alias, v.source FROM registered_model_aliases a LEFT JOIN model_versions v "
+        "ON v.name = a.name AND v.version = a.version"
+    )
+    for cursor in databases(project):
+        for name, alias, source in cursor.execute(query):
+            folder = Path((source or "").removeprefix("file://"))
+            found[f"{name}@{alias}"] = folder_digest(folder) if source and folder.is_dir() else "nothing"
+    return found
+
+
+def half_versions(project: Path) -> list[str]:
+    """Return the versions of registered models whose files are not those that were registered."""
+    query = (
+        "SELECT v.name, v.version, v.source, t.value FROM model_versions v LEFT JOIN model_version_tags t "
+        "ON t.name = v.name AND t.version = v.version AND t.key = 'digest'"
+    )
+    wrong = []
+    for cursor in databases(project):
+        for name, version, source, digest in cursor.execute(query):
+            folder = Path(source.removeprefix("file://"))
+            if not folder.is_dir() or folder_digest(folder) != digest:
+                wrong.append(f"{name} version {version}")
+    return wrong
+
+
+def still_running(project: Path) -> list[str]:
+    """Return the names of the runs that MLflow takes to be going on."""
+    query = "SELECT name FROM runs WHERE status = 'RUNNING'"
+    return [name for cursor in databases(project) for (name,) in cursor.execute(query)]
 
 
 class Campaign:
@@ -296,7 +344,7 @@ class Campaign:
         if before != "former" and (self.project / "out").exists():
             shutil.copytree(self.project / "out", self._former / name)
         same = {file: content for file, content in contents[0].items() if contents[1].get(file) == content}
-        self._undisturbed[key] = Undisturbed(seconds, self.files(), same, self.registered())
+        self._undisturbed[key] = Undisturbed(seconds, self.files(), same, registered(self.project))
         return self._undisturbed[key]
 
     def outputs(self, name: str) -> dict[str, bytes]:
@@ -311,39 +359,6 @@ class Campaign:
         own = re.compile(r"(^|/)(mlruns|\.git|\.dvc|__pycache__)(/|$)|(^|/)\.?mlflow\.db[^/]*$|\.journal$")
         names = (str(file.relative_to(self.project)) for file in self.project.rglob("*"))
         return frozenset(name for name in names if not own.search(name))
-
-    def databases(self) -> Iterator[sqlite3.Cursor]:
-        """Give a cursor of each store in the project."""
-        for file in (self.project / "mlflow.db", self.project / "repository" / "mlflow.db"):
-            if file.exists():
-                with contextlib.closing(sqlite3.connect(file)) as connection:
-                    yield connection.cursor()
-
-    def registered(self) -> dict[str, str]:
-        """Return the digest of what each alias of a registered model leads to, as the files say."""
-        found = {}
-        query = (
-            "SELECT a.name, a.alias, v.source FROM registered_model_aliases a LEFT JOIN model_versions v "
-            "ON v.name = a.name AND v.version = a.version"
-        )
-        for cursor in self.databases():
-            for name, alias, source in cursor.execute(query):
-                found[f"{name}@{alias}"] = folder_digest(Path(source.removeprefix("file://"))) if source else "nothing"
-        return found
-
-    def half_versions(self) -> list[str]:
-        """Return the versions of registered models whose files are not those that were registered."""
-        query = (
-            "SELECT v.name, v.version, v.source, t.value FROM model_versions v LEFT JOIN model_version_tags t "
-            "ON t.name = v.name AND t.version = v.version AND t.key = 'digest'"
-        )
-        wrong = []
-        for cursor in self.databases():
-            for name, version, source, digest in cursor.execute(query):
-                folder = Path(source.removeprefix("file://"))
-                if not folder.is_dir() or folder_digest(folder) != digest:
-                    wrong.append(f"{name} version {version}")
-        return wrong
 
     def faults(self, name: str, again: Ended, whole_before: bool, before: str) -> list[str]:
         """Return what is wrong after the second call."""
@@ -360,13 +375,12 @@ class Campaign:
             faults.append(f"another content: {', '.join(sorted(other)[:5])}")
         if changed := [file for file in self.inputs() if not self._is_unchanged(file)]:
             faults.append(f"inputs changed: {', '.join(map(str, changed[:5]))}")
-        if self.registered() != expected.registered:
-            faults.append(f"registered: {self.registered()} in place of {expected.registered}")
-        if half := self.half_versions():
+        if (found := registered(self.project)) != expected.registered:
+            faults.append(f"registered: {found} in place of {expected.registered}")
+        if half := half_versions(self.project):
             faults.append(f"half versions: {', '.join(half)}")
-        for cursor in self.databases():
-            if running := cursor.execute("SELECT name FROM runs WHERE status = 'RUNNING'").fetchall():
-                faults.append(f"still RUNNING: {running}")
+        if running := still_running(self.project):
+            faults.append(f"still RUNNING: {', '.join(running)}")
         return faults
 
     def inputs(self) -> list[Path]:

@@ -3,7 +3,6 @@
 import os
 import signal
 import sys
-from collections.abc import Callable
 from types import FrameType
 
 HELP = """swarmtwin: learn one robot's motion from its recording, and simulate the group
@@ -21,7 +20,9 @@ Options stand in conf/<command>.yaml and the folders beside it; a folder of your
 
 def main() -> None:
     """Run the command named by the first argument; explain what there is when none is."""
-    answer_interrupts(_leave)  # before anything is imported that takes longer
+    for interrupt in (signal.SIGINT, signal.SIGTERM):  # before anything is imported that takes longer
+        if signal.getsignal(interrupt) is not signal.SIG_IGN:
+            signal.signal(interrupt, _leave)
     from swarmtwin import __version__
     from swarmtwin.commands.catalogue import COMMANDS
     from swarmtwin.errors import near_miss
@@ -37,7 +38,7 @@ def main() -> None:
     if name not in COMMANDS:
         print(f"swarmtwin: unknown command {name!r}: {near_miss(name, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
-    from swarmtwin.commands.app import run_command
+    from swarmtwin.commands.app import answer_interrupts, run_command
 
     try:
         status = int(run_command(name, arguments[1:]))
@@ -45,13 +46,6 @@ def main() -> None:
         status = 130
     answer_interrupts(signal.SIG_IGN)
     sys.exit(status)
-
-
-def answer_interrupts(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
-    """Let a handler answer Ctrl-C and SIGTERM; a process that was started to ignore Ctrl-C goes on doing so."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, handler)
-    signal.signal(signal.SIGTERM, handler)
 
 
 def _leave(signal_number: int, frame: FrameType | None) -> None:

@@ -6,6 +6,7 @@ import importlib
 import logging
 import os
 import re
+import signal
 import sys
 import tempfile
 import time
@@ -13,6 +14,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 import hydra
@@ -24,7 +26,6 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 from swarmtwin import __version__
-from swarmtwin.commands import answer_interrupts
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
 from swarmtwin.commands.option_help import show_help
@@ -52,7 +53,7 @@ def run_command(name: str, arguments: list[str]) -> Status:
     """
     os.environ["HYDRA_FULL_ERROR"] = "1"
     if {"-m", "--multirun"} & set(arguments):
-        let_interrupts_unwind()
+        answer_interrupts(_interrupt)
     _start_logging()
     arguments = _name_folders(name, arguments)
     sys.argv = [f"swarmtwin {name}", *arguments]
@@ -149,7 +150,7 @@ def _task(module_name: str, failures: list[Exception]) -> Callable[[DictConfig],
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
             module = importlib.import_module(module_name)
             if HydraConfig.get().mode == RunMode.RUN:
-                let_interrupts_unwind()
+                answer_interrupts(_interrupt)  # until here nothing has begun
             return module.run(module.Options.parse(content, "options"))
         except Exception as error:
             if HydraConfig.get().mode != RunMode.RUN:
@@ -221,10 +222,12 @@ def _start_logging() -> None:
         logging.getLogger(noisy).setLevel(logging.WARNING)
 
 
-def let_interrupts_unwind() -> None:
-    """From here on, when something may have begun, Ctrl-C and SIGTERM are exceptions."""
-    answer_interrupts(_interrupt)
+def answer_interrupts(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    """Let a handler answer Ctrl-C and SIGTERM; what a process was started to ignore it goes on ignoring."""
+    for interrupt in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(interrupt) is not signal.SIG_IGN:
+            signal.signal(interrupt, handler)
 
 
-def _interrupt(signal_number: int, frame: Any) -> NoReturn:
+def _interrupt(signal_number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
