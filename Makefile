@@ -6,7 +6,7 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data dependencies lock queue fuzz
+.PHONY: help setup run test benchmark lint ui data dependencies lock queue fuzz kill
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
@@ -49,6 +49,9 @@ queue: setup  # experiments queued by `dvc exp run --queue`, JOBS at a time; DVC
 
 fuzz: setup  # damaged files by the thousand; goes on where it was broken off
 	$(BIN)/python tests/campaigns/fuzz.py --count $(or $(COUNT),10000) --seed $(or $(SEED),1) --state outputs/fuzz.jsonl
+
+kill: setup  # commands that die at random moments, and are called again; likewise
+	$(BIN)/python tests/campaigns/kill.py --count $(or $(COUNT),200) --seed $(or $(SEED),1) --state outputs/kill.jsonl
 
 test: setup
 	$(BIN)/dvc pull --quiet data

@@ -95,18 +95,42 @@ def test_a_file_in_the_way_is_named(tmp_path):
         fill(tmp_path / "out")
 
 
-def test_unfinished_work_is_kept_aside_and_found_again(tmp_path):
+def test_unfinished_work_is_kept_aside_and_found_again(tmp_path, caplog):
+    """Its checkpoints alone: what else it had written may be of other options; both times a person is told."""
+
     def interrupted():
-        with new_folder(tmp_path / "out", "test", keep_partial=True) as folder:
-            (folder / "checkpoint").write_text("epoch 3")
+        with new_folder(tmp_path / "out", "test", resumable=True) as folder:
+            (folder / "picture").write_text("of the call that was interrupted")
+            (folder / "checkpoints" / "seed-1").write_text("epoch 3")
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt, match=r"what was done is kept, the same call with output=.*out goes on"):
         interrupted()
     assert not (tmp_path / "out").exists()
-    with new_folder(tmp_path / "out", "test", keep_partial=True) as folder:
-        assert (folder / "checkpoint").read_text() == "epoch 3"
-    assert (tmp_path / "out" / "checkpoint").exists()
+    with (
+        caplog.at_level("INFO"),
+        new_folder(tmp_path / "out", "test", resumable=True) as folder,
+    ):
+        assert (folder / "checkpoints" / "seed-1").read_text() == "epoch 3"
+    assert "goes on with what an interrupted call has left" in caplog.text
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["provenance.json"]
+
+
+@pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt])
+def test_where_nothing_was_done_yet_nothing_is_kept_or_promised(tmp_path, failure):
+    with pytest.raises(failure, match=r"^$"), new_folder(tmp_path / "out", "test", resumable=True):
+        raise failure
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_kill_left_beside_a_whole_output_is_cleared_away(tmp_path):
+    """Also where the next call is refused."""
+    fill(tmp_path / "out")
+    (tmp_path / ".out.former.partial").mkdir()
+    (tmp_path / ".out.lock.partial").touch()
+    with pytest.raises(UserError, match="already holds something"):
+        fill(tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 def hold(path, started, release):

@@ -4,6 +4,7 @@ import contextlib
 import fcntl
 import hashlib
 import json
+import logging
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -15,6 +16,9 @@ from swarmtwin import __version__
 from swarmtwin.errors import UserError
 
 PROVENANCE = "provenance.json"
+CHECKPOINTS = "checkpoints"
+
+log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
@@ -23,40 +27,59 @@ def new_folder(
     command: str,
     config: dict[str, Any] | None = None,
     overwrite: bool = False,
-    keep_partial: bool = False,
+    resumable: bool = False,
     inputs: Sequence[Path] = (),
 ) -> Iterator[Path]:
     """Give a folder beside `path` to write into; rename it to `path` when the block ends without an exception.
 
     Every folder made here holds `provenance.json` (command, version, config), from the beginning of the block on.
     `overwrite` replaces only a folder that the same command made, so that nothing else of the user's is ever deleted.
-    With `keep_partial` an interrupted block leaves its unfinished folder aside and the next call continues in it: the
-    caller keeps its checkpoints there.
+    A `resumable` block finds what an interrupted one left in the folder's `checkpoints/`, and nothing else of it; that
+    folder is no part of the output. What is tracked and registered within the block is so before the output appears.
 
     Raises:
         UserError: `path` is taken, lies in or around one of the `inputs`, or another process is writing it.
+        KeyboardInterrupt: with what it says if the block's work can be continued.
     """
     path = Path(path).absolute()
-    check_output(path, command, overwrite, inputs)
+    _check_place(path, inputs)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.partial")
     with _lock(path):
         _restore_interrupted_replacement(path)
-        check_output(path, command, overwrite, inputs)
-        if partial.exists() and not keep_partial:
-            shutil.rmtree(partial)
-        partial.mkdir(exist_ok=True)
+        check_output(path, command, overwrite)
         try:
+            _clear(partial, keep=resumable)
             provenance = {"swarmtwin": __version__, "command": command, "config": config or {}}
             (partial / PROVENANCE).write_text(json.dumps(provenance, indent=1, default=str) + "\n")
+            if resumable and _holds_work(partial):
+                log.info("%s: goes on with what an interrupted call has left", path)
             yield partial
+            shutil.rmtree(partial / CHECKPOINTS, ignore_errors=True)
             _replace_folder(partial, path)
-        except BaseException:
-            if not keep_partial:
+        except BaseException as error:
+            kept = resumable and _holds_work(partial)
+            if not kept:
                 shutil.rmtree(partial, ignore_errors=True)
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
+            if kept and isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(f"what was done is kept, the same call with output={path} goes on") from None
             raise
+
+
+def _clear(partial: Path, keep: bool) -> None:
+    """Empty the folder that a kill may have left, or make it; its checkpoints may stay."""
+    for left in partial.glob("*"):
+        if left.is_dir() and not (keep and left.name == CHECKPOINTS):
+            shutil.rmtree(left)
+        elif not left.is_dir():
+            left.unlink()
+    (partial / CHECKPOINTS if keep else partial).mkdir(parents=True, exist_ok=True)
+
+
+def _holds_work(partial: Path) -> bool:
+    return any((partial / CHECKPOINTS).glob("*"))
 
 
 def write_text(path: Path, text: str) -> None:
@@ -109,11 +132,7 @@ def check_output(path: Path, command: str, overwrite: bool, inputs: Sequence[Pat
     Raises:
         UserError: it may not: see `new_folder`.
     """
-    for folder in inputs:
-        _check_apart(path, folder)
-    for place in (path, *path.parents):
-        if place.exists() and not place.is_dir():
-            raise UserError(f"output {path}: {place} is not a folder: name another")
+    _check_place(path, inputs)
     if not path.exists() or not any(path.iterdir()):
         return
     if not overwrite:
@@ -123,6 +142,15 @@ def check_output(path: Path, command: str, overwrite: bool, inputs: Sequence[Pat
         raise UserError(f"output folder {path} was not made by swarmtwin, so overwrite=true leaves it alone")
     if made_by != command:
         raise UserError(f"output folder {path} was made by swarmtwin {made_by}, so overwrite=true leaves it alone")
+
+
+def _check_place(path: Path, inputs: Sequence[Path]) -> None:
+    """Check that a folder can be at `path`, apart from the inputs."""
+    for folder in inputs:
+        _check_apart(path, folder)
+    for place in (path, *path.parents):
+        if place.exists() and not place.is_dir():
+            raise UserError(f"output {path}: {place} is not a folder: name another")
 
 
 def _check_apart(output: Path, given: Path) -> None:

@@ -145,6 +145,21 @@ def test_an_interrupted_command_leaves_nothing_and_the_next_one_works(recording,
     assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 0
 
 
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_while_packages_are_imported_is_one_line(workplace, stop):
+    """From the first line of ours on: an import may swallow the exception that Python makes of it."""
+    (workplace / "hydra.py").write_text("import time\ntry:\n    print('importing', flush=True)\n    time.sleep(20)\n")
+    with (workplace / "hydra.py").open("a") as module:
+        module.write("except BaseException:\n    raise ImportError('swallowed')\n")
+    script = "import sys; sys.path.insert(0, ''); sys.argv = ['swarmtwin', 'train']\n"
+    command = [sys.executable, "-c", f"{script}from swarmtwin.commands import main; main()"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "importing\n"
+    process.send_signal(stop)
+    _, error = process.communicate(timeout=10)
+    assert (process.returncode, error) == (130, "swarmtwin: interrupted before anything had begun\n")
+
+
 def test_a_killed_command_does_not_stand_in_the_way(recording, workplace):
     (workplace / ".out.partial").mkdir()
     (workplace / ".out.partial" / "transitions.parquet").write_text("half")

@@ -1,9 +1,13 @@
 """`swarmtwin tune`: one study, shared by processes and continued by later calls."""
 
 import dataclasses
+import multiprocessing
+import os
 import re
 import shlex
 import shutil
+import signal
+import time
 from pathlib import Path
 
 import mlflow
@@ -14,6 +18,7 @@ import yaml
 from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState
 
+from swarmtwin.learning.tuning import SharedStudy
 from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import SPLITS, load_transitions
 from swarmtwin.transitions.storage import write_transitions
@@ -156,6 +161,28 @@ def test_values_stay_within_the_space(swarmtwin, workshop):
         assert set(trial.params) == {"recipe.learning_rate", "recipe.batch_size"}
         assert 0.001 <= trial.params["recipe.learning_rate"] <= 0.002
         assert trial.params["recipe.batch_size"] in (64, 256)
+
+
+def hold(shared):
+    backend = shared.open()._storage._backend
+    backend._lock.acquire()
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_process_that_was_killed_while_it_wrote_the_study_is_in_nobodys_way(tmp_path):
+    """Neither its lock nor the line that it left unfinished."""
+    shared = SharedStudy("s", str(tmp_path / "s.journal"), {"robot": "mgr"})
+    shared.open().add_trial(optuna.trial.create_trial(value=1.0))
+    holder = multiprocessing.get_context("fork").Process(target=hold, args=(shared,))
+    holder.start()
+    holder.join()
+    with (tmp_path / "s.journal").open("a") as journal:
+        journal.write('{"op_code": 4, "wor')
+    started = time.monotonic()
+    shared.open().add_trial(optuna.trial.create_trial(value=2.0))
+    assert time.monotonic() - started < 5
+    assert [trial.value for trial in shared.open().get_trials()] == [1.0, 2.0]
+    assert [path.name for path in tmp_path.iterdir()] == ["s.journal"]
 
 
 def test_a_search_in_which_every_trial_fails_ends(swarmtwin, workshop, caplog):

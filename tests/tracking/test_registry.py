@@ -1,5 +1,7 @@
 import multiprocessing
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import mlflow
@@ -229,6 +231,30 @@ def test_a_champion_that_was_not_compared_with_is_not_replaced(publish):
     assert champion().number == 2
 
 
+@pytest.mark.parametrize("change", ["promotion", "rollback"])
+def test_a_kill_in_the_middle_of_a_change_of_champions_leaves_the_history_right(publish, monkeypatch, change):
+    """Between what is remembered and who is champion: called again, the change is whole, and no champion is twice."""
+    first, second, third = publish("one"), publish("two"), publish("three")
+    registry.promote(first, "the first", None)
+    registry.promote(second, "better", first)
+    half = {"promotion": "set_registered_model_alias", "rollback": "set_registered_model_tag"}[change]
+    with monkeypatch.context() as patch:
+        patch.setattr(f"mlflow.MlflowClient.{half}", fail)
+        with pytest.raises(KeyboardInterrupt):
+            registry.promote(third, "best", second) if change == "promotion" else registry.roll_back(NAME)
+    if change == "promotion":
+        registry.promote(third, "best", second)
+        assert registry.roll_back(NAME) == (3, 2)
+        assert registry.roll_back(NAME) == (2, 1)
+    assert champion().number == 1
+    with pytest.raises(UserError, match="is the first champion"):
+        registry.roll_back(NAME)
+
+
+def fail(*arguments):
+    raise KeyboardInterrupt
+
+
 def promote_until_it_is_champion(number):
     """Be promoted against whoever is champion, again and again until that is still true."""
     version = registry.find_version(f"models:/{NAME}/{number}")
@@ -274,3 +300,73 @@ def _at_once(processes):
     for process in processes:
         process.join(timeout=120)
     assert [process.exitcode for process in processes] == [0] * len(processes)
+
+
+FULL_DISK = """
+import logging, os, sys, time
+from pathlib import Path
+os.chdir(sys.argv[1])
+from swarmtwin.files import new_folder
+from swarmtwin.tracking import registry
+from swarmtwin.tracking.runs import tracked_run
+
+logging.basicConfig(level=logging.WARNING)
+
+
+def fill():
+    with open("filler", "wb", buffering=0) as filler:
+        for size in (65536, 4096, 1):
+            try:
+                while True:
+                    filler.write(bytes(size))
+            except OSError:
+                pass
+
+
+def learn(full):
+    inside = new_folder(Path("out"), "train", resumable=True, overwrite=True)
+    with inside as folder, tracked_run("dynamics", full, {"output": "out"}) as run:
+        (folder / "checkpoints" / "seed-1").write_text("epoch 3")
+        (folder / "model.yaml").write_text("a model" * 1000)
+        if full == "files":
+            fill()
+        source = run.folder(folder, "model")
+        if full == "registration":
+            fill()
+        registry.register("mgr-dynamics", folder, source, run.run_id, {})
+        if full == "end":
+            fill()
+
+
+for full in ("files", "registration", "end"):
+    started = time.monotonic()
+    try:
+        learn(full)
+    except OSError as error:
+        assert error.errno == 28, error
+    else:
+        raise AssertionError(full)
+    assert time.monotonic() - started < 10
+    assert Path(".out.partial/checkpoints/seed-1").exists()
+    Path("filler").unlink()
+    learn("room")
+    assert sorted(path.name for path in Path("out").iterdir()) == ["model.yaml", "provenance.json"]
+    for version in registry.versions("mgr-dynamics"):
+        version.folder()
+    assert registry.find_version("models:/mgr-dynamics@challenger").folder()
+print("done")
+"""
+
+
+def test_a_full_disk_in_the_middle_leaves_nothing_half_and_the_same_call_goes_on(workplace):
+    """On a small file system of the test's own."""
+    (workplace / "learn.py").write_text(FULL_DISK)
+    (workplace / "disk").mkdir()
+    mount = f"mount -t tmpfs -o size=4M none {workplace / 'disk'}"
+    inside = ("unshare", "--user", "--map-root-user", "--mount", "sh", "-c")
+    if not shutil.which("unshare") or subprocess.run([*inside, mount], capture_output=True, check=False).returncode:
+        pytest.skip("no file system can be mounted here")
+    script = f"{mount} && exec {sys.executable} {workplace / 'learn.py'} {workplace / 'disk'}"
+    answer = subprocess.run([*inside, script], capture_output=True, text=True, check=False)
+    assert answer.stdout == "done\n", answer.stderr
+    assert "Traceback" not in answer.stderr

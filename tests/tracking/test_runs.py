@@ -1,5 +1,6 @@
 import errno
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -11,6 +12,7 @@ from mlflow.exceptions import MlflowException
 
 from swarmtwin.errors import UserError
 from swarmtwin.tracking.runs import parent_run, tracked_run
+from swarmtwin.tracking.store import use_store
 
 CONFIG = {"robot": {"name": "mgr"}, "model": {"name": "mlp", "hidden": [128, 128]}, "seed": 3}
 
@@ -121,9 +123,17 @@ def test_a_server_that_is_away_is_told_within_seconds(workplace, monkeypatch):
 def test_a_database_that_cannot_be_written_is_told_at_once(workplace, monkeypatch):
     with tracked_run("dynamics", "x", {}):
         pass
-    monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(UserError, match="its file cannot be written"), tracked_run("dynamics", "y", {}):
-        pass
+    database = shutil.copy("mlflow.db", workplace / "other.db")  # that no connection of this process has open
+    database.chmod(0o444)
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "sqlite:///other.db")
+    shield = ["chattr", "+i", database]  # from root
+    if os.access(database, os.W_OK) and subprocess.run(shield, capture_output=True, check=False).returncode:
+        pytest.skip("nothing keeps root from writing here")
+    try:
+        with pytest.raises(UserError, match=r"readonly database.*can be written"), tracked_run("dynamics", "y", {}):
+            pass
+    finally:
+        subprocess.run(["chattr", "-i", database], capture_output=True, check=False)
 
 
 def test_a_database_may_be_named_from_the_working_folder(workplace, monkeypatch):
@@ -133,16 +143,46 @@ def test_a_database_may_be_named_from_the_working_folder(workplace, monkeypatch)
     assert (workplace / "mlruns" / "dynamics" / run.run_id / "artifacts" / "config.yaml").exists()
 
 
-def test_a_run_whose_process_was_killed_is_closed_by_the_next_for_the_same_output(workplace):
-    script = "import os; from swarmtwin.tracking.runs import tracked_run\n"
-    script += "with tracked_run('dynamics', 'killed', {'output': 'out'}): os.kill(os.getpid(), 9)"
+def test_runs_whose_process_was_killed_are_closed_by_the_next(workplace):
+    """Of any output, and the run of a sweep or study that grouped them."""
+    script = "import os; from swarmtwin.tracking.runs import parent_run, tracked_run\n"
+    script += "with parent_run('dynamics', 'sweep', 'sweep'), tracked_run('dynamics', 'killed', {'output': 'out'}):"
+    script += " os.kill(os.getpid(), 9)"
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
 
     def statuses():
         found = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
         return {run.info.run_name: run.info.status for run in found}
 
+    use_store()
+    assert statuses() == {"killed": "RUNNING", "sweep": "RUNNING"}
     with tracked_run("dynamics", "other", {"output": "elsewhere"}):
-        assert statuses() == {"killed": "RUNNING", "other": "RUNNING"}
-    with tracked_run("dynamics", "again", {"output": "out"}):
-        assert statuses() == {"killed": "KILLED", "other": "FINISHED", "again": "RUNNING"}
+        assert statuses() == {"killed": "KILLED", "sweep": "KILLED", "other": "RUNNING"}
+
+
+def test_a_store_that_was_killed_while_it_was_made_is_made_anew(workplace):
+    """With half of MLflow's tables there, MLflow itself does not go on."""
+    script = "import os, sys; from sqlalchemy import event, Engine\n"
+    script += "made = []\n"
+    script += "@event.listens_for(Engine, 'before_cursor_execute')\n"
+    script += "def kill(connection, cursor, statement, *_):\n"
+    script += "    made.append(statement)\n"
+    script += "    if sum('CREATE TABLE' in one for one in made) == 20: os.kill(os.getpid(), 9)\n"
+    script += "from swarmtwin.tracking.store import use_store\nuse_store()"
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
+    with tracked_run("dynamics", "again", {}):
+        pass
+    assert sorted(path.name for path in workplace.iterdir()) == [".mlflow.db.lock.partial", "mlflow.db", "mlruns"]
+
+
+def test_a_failure_that_the_store_cannot_even_note_is_told_as_it_is(workplace, monkeypatch):
+    def fail(*arguments, **options):
+        raise MlflowException("disk is full")
+
+    def with_a_full_disk():
+        with tracked_run("dynamics", "x", {}):
+            monkeypatch.setattr(mlflow.MlflowClient, "set_terminated", fail)
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        with_a_full_disk()

@@ -1,10 +1,9 @@
 """The console script `swarmtwin`: one Hydra app a command, each imported only when it is called."""
 
+import os
+import signal
 import sys
-
-from swarmtwin import __version__
-from swarmtwin.commands.catalogue import COMMANDS
-from swarmtwin.errors import near_miss
+from types import FrameType
 
 HELP = """swarmtwin: learn one robot's motion from its recording, and simulate the group
 
@@ -21,6 +20,13 @@ Options stand in conf/<command>.yaml and the folders beside it; a folder of your
 
 def main() -> None:
     """Run the command named by the first argument; explain what there is when none is."""
+    for interrupt in (signal.SIGINT, signal.SIGTERM):  # before anything is imported that takes longer
+        if signal.getsignal(interrupt) is not signal.SIG_IGN:
+            signal.signal(interrupt, _leave)
+    from swarmtwin import __version__
+    from swarmtwin.commands.catalogue import COMMANDS
+    from swarmtwin.errors import near_miss
+
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("--help", "-h", "help"):
         print(HELP.format(commands="\n".join(f"  {name:<12}{entry.summary}" for name, entry in COMMANDS.items())))
@@ -32,9 +38,17 @@ def main() -> None:
     if name not in COMMANDS:
         print(f"swarmtwin: unknown command {name!r}: {near_miss(name, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
-    try:
-        from swarmtwin.commands.app import run_command
+    from swarmtwin.commands.app import answer_interrupts, run_command
 
-        sys.exit(run_command(name, arguments[1:]))
-    except KeyboardInterrupt:  # while the packages are imported
-        sys.exit(130)
+    try:
+        status = int(run_command(name, arguments[1:]))
+    except KeyboardInterrupt:  # another one, while the first was answered
+        status = 130
+    answer_interrupts(signal.SIG_IGN)
+    sys.exit(status)
+
+
+def _leave(signal_number: int, frame: FrameType | None) -> None:
+    """End at once, as long as packages are imported and nothing has begun: an import may swallow KeyboardInterrupt."""
+    os.write(2, b"swarmtwin: interrupted before anything had begun\n")
+    os._exit(130)

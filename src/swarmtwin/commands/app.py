@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 import hydra
@@ -53,7 +54,8 @@ def run_command(name: str, arguments: list[str]) -> Status:
         ours: the line names a log file with the traceback.
     """
     os.environ["HYDRA_FULL_ERROR"] = "1"
-    signal.signal(signal.SIGTERM, _interrupt)
+    if {"-m", "--multirun"} & set(arguments):
+        answer_interrupts(_interrupt)
     _start_logging()
     arguments = _spelled_out(name, arguments)
     sys.argv = [f"swarmtwin {name}", *arguments]
@@ -76,8 +78,9 @@ def run_command(name: str, arguments: list[str]) -> Status:
         return _report(name, f"a configuration is not valid YAML: {' '.join(str(error).split())}", Status.MISTAKE)
     except MemoryError:
         return _report(name, "out of memory: ask for less at a time", Status.MISTAKE)
-    except KeyboardInterrupt:
-        return _report(name, "interrupted; what had not finished was left out", Status.INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        came_of_it = str(interrupt) or "what had not finished was left out"
+        return _report(name, f"interrupted; {came_of_it}", Status.INTERRUPTED)
     except Exception as error:
         if isinstance(error, OSError) and (remedy := _system_remedy(error)):
             return _report(name, remedy, Status.MISTAKE)
@@ -179,6 +182,8 @@ def _task(module_name: str, failures: list[Exception], rows: Path) -> Callable[[
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
             module = importlib.import_module(module_name)
+            if run.mode == RunMode.RUN:
+                answer_interrupts(_interrupt)  # until here nothing has begun
             headline = module.run(module.Options.parse(content, "options"))
         except Exception as error:
             if run.mode == RunMode.RUN:
@@ -256,5 +261,12 @@ def _start_logging() -> None:
         logging.getLogger(noisy).setLevel(logging.WARNING)
 
 
-def _interrupt(signal_number: int, frame: Any) -> NoReturn:
+def answer_interrupts(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    """Let a handler answer Ctrl-C and SIGTERM; what a process was started to ignore it goes on ignoring."""
+    for interrupt in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(interrupt) is not signal.SIG_IGN:
+            signal.signal(interrupt, handler)
+
+
+def _interrupt(signal_number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt

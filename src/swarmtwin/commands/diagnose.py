@@ -70,31 +70,33 @@ def run(options: Options) -> dict[str, Any]:
         given.append(recording_input(options.reference, "reference", reference_recording))
     if folder:
         given.append(model_input(folder, "simulation"))
-    with tracked_run("diagnosis", name, settings, given, options.seed) as tracked:
-        with new_folder(output, "diagnose", settings, options.overwrite, inputs=inputs) as inside:
-            with stage_bar("diagnosis") as report, one_thread():
-                report("learning the reference", 0, 1)
-                reference, learned = reference_for(
-                    measured,
-                    options.robot,
-                    reference=reference_recording,
-                    name=f"the reference {options.reference}",
-                    folder=folder,
-                    situation=options.situation,
-                    settings=options.diagnosis,
-                    device=options.device,
-                    seed=options.seed,
-                )
-                diagnosed = diagnose(reference, measured, options.seed, report)
-            about = options.model_dump(mode="json", exclude={"robot"})
-            recorded = options.measured.resolve().name
-            provenance = extension_provenance(diagnosed, measured, recorded, learned, about, options.seed)
-            save_diagnosis(inside, diagnosed, provenance)
-            if options.pictures:
-                draw_diagnosis(inside, inside)
-        _track(tracked, output, diagnosed)
+    with (
+        new_folder(output, "diagnose", settings, options.overwrite, inputs=inputs) as inside,
+        tracked_run("diagnosis", name, settings, given, options.seed) as tracked,
+    ):
+        with stage_bar("diagnosis") as report, one_thread():
+            report("learning the reference", 0, 1)
+            reference, learned = reference_for(
+                measured,
+                options.robot,
+                reference=reference_recording,
+                name=f"the reference {options.reference}",
+                folder=folder,
+                situation=options.situation,
+                settings=options.diagnosis,
+                device=options.device,
+                seed=options.seed,
+            )
+            diagnosed = diagnose(reference, measured, options.seed, report)
+        about = options.model_dump(mode="json", exclude={"robot"})
+        recorded = options.measured.resolve().name
+        provenance = extension_provenance(diagnosed, measured, recorded, learned, about, options.seed)
+        save_diagnosis(inside, diagnosed, provenance)
+        if options.pictures:
+            draw_diagnosis(inside, inside)
+        _track(tracked, inside, diagnosed)
         tracked.warnings(measured.warnings)
-        registered = _registered(options, tracked, output, diagnosed)
+        registered = _registered(options, tracked, inside, diagnosed)
     Console().print(table(diagnosed.result))
     page = "report.html" if options.pictures else "diagnosis.json"
     Console().print(f"{output / page}: {registered}", highlight=False, soft_wrap=True)

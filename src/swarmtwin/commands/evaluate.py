@@ -47,17 +47,19 @@ def run(options: Options) -> dict[str, Any]:
     recording = read_vehicles(options.recording, options.robot, options.vehicles)
     name = f"{options.robot.name}-{kind} on {options.recording.name}"
     given = [recording_input(options.recording, "measured", recording), model_input(simulation, "simulation")]
-    with tracked_run("dynamics", f"evaluate {name}", settings, given) as tracked:
-        with new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder:
-            measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
-            about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
-            save_measurement(folder, measurement, recording.header.arena_mm, about)
-            draw_evaluation(folder, folder)
+    with (
+        new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("dynamics", f"evaluate {name}", settings, given) as tracked,
+    ):
+        measurement = measure(model.to(device), provenance, Measured.of(recording, options.recording))
+        about = {"robot": options.robot.name, "model": kind, "recording": options.recording.name}
+        save_measurement(folder, measurement, recording.header.arena_mm, about)
+        draw_evaluation(folder, folder)
         figures = measurement.overall.tracked()
         tracked.metrics(figures)
         tracked.warnings(recording.warnings)
         tracked.tag("simulation.digest", folder_digest(simulation))
-        tracked.folder(options.output, "evaluation")
+        tracked.folder(folder, "evaluation")
     Console().print(measurement_table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)
     shown = ("one_step_position_mm", "one_step_orientation_deg", "floor_position_mm", "open_loop_mm")

@@ -98,28 +98,28 @@ def _train(options: Options, robot: Robot) -> dict[str, Any]:
     name = f"{robot.name}-{config.name}"
     output = output_folder(options.output, "generate", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
-    check_output(output, "generate", options.overwrite, [source])
-    inputs = split_inputs(source, transitions)
-    with tracked_run("generator", name, settings, inputs, options.seed) as tracked:
+    with (
+        new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder,
+        tracked_run("generator", name, settings, split_inputs(source, transitions), options.seed) as tracked,
+    ):
         started = time.monotonic()
         tracked.warnings(preparation.warnings)
-        with new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder:
-            with _training_bar(f"{robot.name} {config.name}", config.training_steps) as report:
-                made = synthesise(
-                    transitions,
-                    preparation,
-                    config,
-                    options.seed,
-                    real=options.real,
-                    count=options.count,
-                    report=report,
-                    device=options.device,
-                )
-            save_synthesis(folder, made, options.seed)
-            if options.pictures:
-                draw_synthesis(folder, folder)
+        with _training_bar(f"{robot.name} {config.name}", config.training_steps) as report:
+            made = synthesise(
+                transitions,
+                preparation,
+                config,
+                options.seed,
+                real=options.real,
+                count=options.count,
+                report=report,
+                device=options.device,
+            )
+        save_synthesis(folder, made, options.seed)
+        if options.pictures:
+            draw_synthesis(folder, folder)
         _track(tracked, made, time.monotonic() - started)
-        tracked.folder(output / GENERATOR, GENERATOR)
+        tracked.folder(folder / GENERATOR, GENERATOR)
     Console().print(_table(name, made.quality))
     _say(_drawn_text(output, made.drawn))
     _say(f"the generator, to give away, learned from {made.lineage.real_transitions} real ones: {output / GENERATOR}")

@@ -1,6 +1,5 @@
 """`swarmtwin learn`: a policy is learned in the simulated world, tracked and registered; a better one challenges."""
 
-import shutil
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_output, new_folder, output_folder
+from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
@@ -72,25 +71,25 @@ def run(options: Options) -> dict[str, Any]:
     name = f"{options.robot.name}-{task.config.name}-{algorithm.name}"
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
-    check_output(output, "learn", options.overwrite, [simulation])
     inputs = [Dataset(simulation, "simulation", origin.digest)]
-    with tracked_run("policy", name, settings, inputs, options.seed) as tracked:
+    with (
+        new_folder(output, "learn", settings, options.overwrite, resumable=True, inputs=[simulation]) as folder,
+        tracked_run("policy", name, settings, inputs, options.seed) as tracked,
+    ):
         started = time.monotonic()
-        with new_folder(output, "learn", settings, options.overwrite, keep_partial=True, inputs=[simulation]) as folder:
-            jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / "checkpoints")
-            with training_bars(name, algorithm.steps) as report:
-                results = learn_all(jobs, report)
-            provenance = save_learned(folder, task, jobs[0], results, origin)
-            if options.pictures:
-                draw_learning(folder, folder)
-            shutil.rmtree(folder / "checkpoints", ignore_errors=True)
+        jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS)
+        with training_bars(name, algorithm.steps) as report:
+            results = learn_all(jobs, report)
+        provenance = save_learned(folder, task, jobs[0], results, origin)
+        if options.pictures:
+            draw_learning(folder, folder)
         _track(tracked, results, provenance, time.monotonic() - started)
-        kept = tracked.model(output, "policy")
+        kept = tracked.model(folder, "policy")
         registered = "not registered"
         if options.register_model:
             tags = provenance.tags(task.config.name)
-            version = registry.register(f"{options.robot.name}-policy", output, kept, tracked.run_id, tags)
-            registered = _challenge(options, version, output, task, simulation)
+            version = registry.register(f"{options.robot.name}-policy", folder, kept, tracked.run_id, tags)
+            registered = _challenge(options, version, folder, task, simulation)
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
     return {**_evaluation(provenance), "output": str(output)}
@@ -132,7 +131,6 @@ def _challenge(options: Options, version: registry.Version, output: Path, task: 
 def _jobs(
     options: Options, task: Task, algorithm: AlgorithmConfig, simulation: Path, digest: str, checkpoints: Path
 ) -> list[PolicyJob]:
-    checkpoints.mkdir(exist_ok=True)
     schedule = Schedule(steps=algorithm.steps, evaluate_every=options.evaluate_every, scenes=options.scenes)
     return [
         PolicyJob(

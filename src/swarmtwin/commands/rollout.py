@@ -63,27 +63,29 @@ def run(options: Options) -> dict[str, Any]:
     policy = load_policy(folder_of_policy, options.robot, options.task.name)
     name = f"{options.robot.name}-{policy.task.name}"
     given = model_input(folder_of_policy, "policy")
-    with tracked_run("transfer", f"rollout {name}", settings, [given], options.seed) as tracked:
-        with new_folder(options.output, "rollout", settings, options.overwrite, inputs=[folder_of_policy]) as folder:
-            rollouts = roll_out_policy(
-                policy,
-                options.on,
-                count=options.count,
-                seed=options.seed,
-                simulation=options.simulation,
-                sampled=options.sampled,
-                device=options.device,
-                vehicles=options.vehicles,
-                effects=options.effects,
-            )
-            metrics = metrics_of(rollouts)
-            about = {"robot": options.robot.name, "task": policy.task.name}
-            save_rollout(folder, rollouts, metrics, about)
-            draw_rollout(folder, folder)
+    with (
+        new_folder(options.output, "rollout", settings, options.overwrite, inputs=[folder_of_policy]) as folder,
+        tracked_run("transfer", f"rollout {name}", settings, [given], options.seed) as tracked,
+    ):
+        rollouts = roll_out_policy(
+            policy,
+            options.on,
+            count=options.count,
+            seed=options.seed,
+            simulation=options.simulation,
+            sampled=options.sampled,
+            device=options.device,
+            vehicles=options.vehicles,
+            effects=options.effects,
+        )
+        metrics = metrics_of(rollouts)
+        about = {"robot": options.robot.name, "task": policy.task.name}
+        save_rollout(folder, rollouts, metrics, about)
+        draw_rollout(folder, folder)
         figures = tracked_figures(metrics)
         tracked.metrics(figures)
         tracked.tag("policy.digest", given.digest)
-        tracked.folder(options.output, "rollout")
+        tracked.folder(folder, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
     Console().print(f"figures, pictures and film: {options.output}", highlight=False, soft_wrap=True)
     return {**figures, "output": str(options.output)}

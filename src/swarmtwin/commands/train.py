@@ -1,6 +1,5 @@
 """`swarmtwin train`: a dynamics model learns from transitions, is tracked and registered; a better one challenges."""
 
-import shutil
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,7 +14,7 @@ from swarmtwin.dynamics.model_config import ModelConfig, model_config
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.trained_folder import TrainingData, provenance_of, save_trained
 from swarmtwin.dynamics.training import Trained, train
-from swarmtwin.files import check_output, new_folder, output_folder
+from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.learning.recipe import Recipe
@@ -71,25 +70,25 @@ def run(options: Options) -> dict[str, Any]:
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
     sources = list(data.sources)
-    check_output(output, "train", options.overwrite, sources)
     inputs = [each for source in data.sources.items() for each in split_inputs(*source)]
-    with tracked_run("dynamics", name, settings, inputs, options.seed) as tracked:
+    with (
+        new_folder(output, "train", settings, options.overwrite, resumable=True, inputs=sources) as folder,
+        tracked_run("dynamics", name, settings, inputs, options.seed) as tracked,
+    ):
         started = time.monotonic()
-        with new_folder(output, "train", settings, options.overwrite, keep_partial=True, inputs=sources) as folder:
-            trained = _train(options, config, data.transitions, folder / "checkpoints")
-            provenance = provenance_of(trained, data.preparation)
-            save_trained(folder, trained, provenance, data.evidence)
-            if options.pictures:
-                draw_training(folder, folder)
-            shutil.rmtree(folder / "checkpoints", ignore_errors=True)
+        trained = _train(options, config, data.transitions, folder / CHECKPOINTS)
+        provenance = provenance_of(trained, data.preparation)
+        save_trained(folder, trained, provenance, data.evidence)
+        if options.pictures:
+            draw_training(folder, folder)
         seconds = time.monotonic() - started
         _track(tracked, trained, provenance, seconds)
         tracked.warnings(data.preparation.warnings)
-        kept = tracked.model(output, "dynamics")
+        kept = tracked.model(folder, "dynamics")
         registered = "not registered"
         if options.register_model:
             registered_name = f"{options.robot.name}-dynamics"
-            version = registry.register(registered_name, output, kept, tracked.run_id, provenance.tags(config.name))
+            version = registry.register(registered_name, folder, kept, tracked.run_id, provenance.tags(config.name))
             validation = data.transitions.part("validation")
             errors = Errors.by_run(one_step_errors(trained.dynamics, validation), validation.run)
             registered = challenge_by_errors(tracked, version, errors, validation.digest())

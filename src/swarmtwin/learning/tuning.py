@@ -1,17 +1,20 @@
 """An Optuna study that processes share, and what it was made for."""
 
+import fcntl
 import hashlib
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from io import BufferedRandom
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import optuna
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
-from optuna.storages.journal import JournalFileBackend
+from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import TrialState
 from pydantic import Field, model_validator
 from sqlalchemy.exc import SQLAlchemyError
@@ -92,11 +95,39 @@ class SharedStudy:
     def _storage(self) -> BaseStorage:
         if "://" in self.storage:
             return RDBStorage(self.storage)
-        file = Path(self.storage).absolute()  # its lock is a link to it, and would dangle if this were relative
+        file = Path(self.storage).absolute()
         if file.is_dir():
             raise IsADirectoryError("it is a folder")
         file.parent.mkdir(parents=True, exist_ok=True)
-        return JournalStorage(JournalFileBackend(str(file)))
+        return JournalStorage(JournalFileBackend(str(file), _JournalLock(file)))
+
+
+class _JournalLock(JournalFileOpenLock):
+    """Lets one process at a time write a journal, which the system lets go of when the process dies.
+
+    Optuna's own lock is a file that a killed process leaves behind, and that others wait half a minute for. A line that
+    such a process left unfinished, or a full disk, is removed: no reader would get beyond it.
+    """
+
+    def __init__(self, journal: Path) -> None:
+        self._journal = journal
+        self._held: BufferedRandom | None = None
+
+    def acquire(self) -> bool:
+        """Wait until the journal is this process's to write."""
+        self._held = self._journal.open("a+b")
+        fcntl.flock(self._held, fcntl.LOCK_EX)
+        if end := self._held.seek(0, os.SEEK_END):
+            self._held.seek(end - 1)
+            if self._held.read() != b"\n":
+                self._held.seek(0)
+                self._held.truncate(self._held.read().rfind(b"\n") + 1)
+        return True
+
+    def release(self) -> None:
+        """Leave the journal to others."""
+        assert self._held is not None
+        self._held.close()
 
 
 def complete_trials(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:

@@ -24,7 +24,7 @@ from swarmtwin.learning.tuning import Range, SharedStudy, identity, trials_done
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.studies.tracked_inputs import split_inputs
 from swarmtwin.tracking.datasets import Dataset
-from swarmtwin.tracking.runs import parent_run, tracked_run
+from swarmtwin.tracking.runs import close_orphans, parent_run, tracked_run
 from swarmtwin.transitions import Preparation, SplitOptions, Transitions
 from swarmtwin.transitions.inputs import Vehicles, training_transitions
 
@@ -87,7 +87,9 @@ class HyperparameterSearch(StrictModel):
             for number, share in enumerate(shares)
             if share
         ]
-        if jobs:
+        if not jobs:
+            close_orphans("dynamics")
+        else:
             with parent_run("dynamics", f"tune {shared.name}", "study"):
                 run_side_by_side(jobs, None, len(jobs))
         return study

@@ -1,6 +1,7 @@
 """What is learned, as MLflow models: an `MLmodel` file with signature and input example around a model's folder."""
 
 import importlib
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,7 @@ from mlflow.models import ModelSignature
 from mlflow.types import ColSpec, DataType, Schema, TensorSpec
 
 from swarmtwin import __version__
-from swarmtwin.files import folder_digest
+from swarmtwin.files import CHECKPOINTS, folder_digest
 
 ModelKind = Literal["dynamics", "policy"]
 """What is registered, as `<robot>-<kind>`."""
@@ -27,7 +28,7 @@ def log_model(folder: Path, kind: ModelKind) -> str:
     files with the digest that stands in the `MLmodel` file.
 
     Args:
-        folder: the model as its command left it; a copy is kept.
+        folder: the model as its command left it; a copy is kept, without the checkpoints in it.
         kind: what it is.
 
     Raises:
@@ -37,8 +38,8 @@ def log_model(folder: Path, kind: ModelKind) -> str:
     answer = served.predict(served.example)
     looked_at = [*_columns(served.required), *_columns(served.optional, required=False)]
     with TemporaryDirectory() as aside:
-        data = Path(aside) / "model"
-        data.symlink_to(folder.absolute())  # MLflow calls the copy so, not as its user calls the folder
+        data = Path(aside) / "model"  # MLflow calls its copy so, not as its user calls the folder
+        shutil.copytree(folder, data, ignore=shutil.ignore_patterns(CHECKPOINTS))
         kept = mlflow.pyfunc.log_model(
             name="model",
             loader_module=LOADERS[kind],

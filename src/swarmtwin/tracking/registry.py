@@ -265,9 +265,8 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
         if (now and now.number) != (against and against.number):
             raise UserError(f"{now} became champion meanwhile: promote {version} again, to be compared with that")
         client = mlflow.MlflowClient()
-        if against:
-            former = _former_champions(client, version.name, alias)
-            _remember(client, version.name, alias, [*former, str(against.number)])
+        if now:
+            _remember(client, version.name, alias, [*_former_champions(client, now, alias), str(now.number)])
         client.set_model_version_tag(version.name, str(version.number), "promoted_because", reason)
         client.set_registered_model_alias(version.name, alias, str(version.number))
 
@@ -284,7 +283,7 @@ def roll_back(name: str, task: str | None = None) -> tuple[int, int]:
         if demoted is None:
             raise UserError(f"{name} has no champion to roll back from; there are {_describe(known)}")
         client = mlflow.MlflowClient()
-        former = _former_champions(client, name, alias)
+        former = _former_champions(client, demoted, alias)
         if not former:
             raise UserError(f"{demoted} is the first champion: there is none to roll back to")
         client.set_registered_model_alias(name, alias, former[-1])
@@ -306,9 +305,12 @@ def _history_tag(alias: str) -> str:
     return FORMER_CHAMPIONS + alias.removeprefix("champion")
 
 
-def _former_champions(client: mlflow.MlflowClient, name: str, alias: str) -> list[str]:
-    listed = client.get_registered_model(name).tags.get(_history_tag(alias), "")
-    return [number for number in listed.split(",") if number]
+def _former_champions(client: mlflow.MlflowClient, champion: Version, alias: str) -> list[str]:
+    """Return the champions before this one, which a kill in the middle of a change may have left as the last."""
+    numbers = client.get_registered_model(champion.name).tags.get(_history_tag(alias), "").split(",")
+    while numbers and numbers[-1] in ("", str(champion.number)):
+        numbers.pop()
+    return numbers
 
 
 def _remember(client: mlflow.MlflowClient, name: str, alias: str, numbers: list[str]) -> None:

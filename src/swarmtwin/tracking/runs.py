@@ -6,7 +6,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from mlflow.entities import Metric
 from omegaconf import DictConfig
 
+from swarmtwin.files import CHECKPOINTS
 from swarmtwin.tracking.datasets import Dataset, dvc_hashes, log_datasets
 from swarmtwin.tracking.models import ModelKind, log_model
 from swarmtwin.tracking.store import store_errors, use_experiment, use_store
@@ -70,8 +71,10 @@ class TrackedRun:
 
     @store_errors()
     def folder(self, folder: Path, name: str) -> str:
-        """Keep a copy of a folder under `name`; return its URI."""
-        mlflow.log_artifacts(str(folder), name)
+        """Keep a copy of a folder under `name`, without the checkpoints in it; return its URI."""
+        for path in folder.iterdir():
+            if path.name != CHECKPOINTS:
+                mlflow.log_artifact(str(path), name)
         return mlflow.get_artifact_uri(name)
 
 
@@ -90,10 +93,9 @@ def tracked_run(
     """
     hashes = dvc_hashes(dataset.folder for dataset in inputs)
     tags = _tags(hashes, seed)
-    output = str(config["output"]) if config.get("output") else None
     with store_errors():
         use_experiment(experiment)
-        _close_orphans(experiment, output)
+        close_orphans(experiment)
         run = mlflow.start_run(run_name=name, tags=tags, parent_run_id=os.environ.get(PARENT_RUN))
     try:
         with store_errors():
@@ -103,25 +105,26 @@ def tracked_run(
             log_datasets(run.info.run_id, inputs, hashes)
         yield TrackedRun(run.info.run_id)
     except BaseException as error:
-        mlflow.end_run("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
+        with suppress(Exception):  # the store may be what failed
+            mlflow.end_run("KILLED" if isinstance(error, KeyboardInterrupt) else "FAILED")
         raise
-    mlflow.end_run()
+    with store_errors():
+        mlflow.end_run()
 
 
-def _close_orphans(experiment: Experiment, output: str | None) -> None:
-    """Close as killed the runs for this output whose processes, on this machine, are no more."""
-    condition = _output_is(output) if output else None
-    if condition is None:
-        return
-    found = mlflow.search_runs(
-        experiment_names=[experiment],
-        filter_string=f"{condition} and attributes.status = 'RUNNING'",
-        output_format="list",
-    )
-    for run in found:
-        host, _, process = run.data.tags.get("process", "").partition(" ")
-        if host == socket.gethostname() and process.isdigit() and not _is_alive(int(process)):
-            mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
+def close_orphans(experiment: Experiment) -> None:
+    """Close as killed the experiment's runs whose processes, on this machine, are no more."""
+    with store_errors():
+        use_store()
+        found = mlflow.search_runs(
+            experiment_names=[experiment],
+            filter_string="attributes.status = 'RUNNING'",
+            output_format="list",
+        )
+        for run in found:
+            host, _, process = run.data.tags.get("process", "").partition(" ")
+            if host == socket.gethostname() and process.isdigit() and not _is_alive(int(process)):
+                mlflow.MlflowClient().set_terminated(run.info.run_id, "KILLED")
 
 
 def _is_alive(process: int) -> bool:
@@ -168,6 +171,7 @@ def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study
     tags = _tags({}, None)
     with store_errors():
         use_experiment(experiment)
+        close_orphans(experiment)
         client = mlflow.MlflowClient()
         found = client.get_experiment_by_name(experiment)
         assert found is not None

@@ -7,7 +7,6 @@ import logging
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -21,20 +20,24 @@ from mlflow.exceptions import MlflowException
 from sqlalchemy.exc import SQLAlchemyError
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import whole_file
 
 
-@contextmanager
+@contextlib.contextmanager
 def store_errors() -> Iterator[None]:
     """Turn a failure of the tracking store into one clear message; also a decorator.
 
-    A full disk is none of the store's faults, and passes.
+    A full disk is none of the store's faults: it is an `OSError`, also where SQLite tells of it.
     """
     try:
         yield
-    except (MlflowException, SQLAlchemyError, requests.RequestException, OSError) as error:
+    except (MlflowException, SQLAlchemyError, sqlite3.Error, requests.RequestException, OSError) as error:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise
-        uri, reason = store_uri(), str(error).strip().splitlines()[0]
+        lines = str(error).strip().splitlines()
+        if any("disk is full" in line for line in lines):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(_database())) from error
+        uri, reason = store_uri(), next((line for line in lines if line.startswith("(sqlite3.")), lines[0])
         check = "start its server" if uri.startswith("http") else "see that its folder is there and can be written"
         remedy = f"{check}, or set MLFLOW_TRACKING_URI to another"
         raise UserError(f"the MLflow store {uri} cannot be used ({reason}): {remedy}") from error
@@ -56,6 +59,7 @@ def use_store() -> None:
         UserError: the store cannot be used: its server does not answer within seconds, its folder is not there.
     """
     logging.getLogger("mlflow").setLevel(logging.WARNING)
+    logging.getLogger("mlflow.store.db.utils").setLevel(logging.CRITICAL)  # shows a traceback of what is told in a line
     uri = store_uri()
     with store_errors():
         mlflow.set_tracking_uri(uri)
@@ -69,8 +73,11 @@ def _open_store(uri: str) -> None:
         requests.get(f"{uri.rstrip('/')}/health", timeout=5)  # any answer will do
         return
     with store_lock():
+        database = _database()
+        if database and not (database.exists() and database.stat().st_size):
+            _make_database(database)
         experiments = mlflow.MlflowClient().search_experiments()
-        if database := _database():
+        if database:
             _follow_moved_files(database, {experiment.name: experiment.artifact_location for experiment in experiments})
 
 
@@ -103,6 +110,15 @@ def _follow_moved_files(database: Path, locations: Mapping[str, str]) -> None:
             connection.commit()
 
 
+def _make_database(database: Path) -> None:
+    """Make MLflow's tables aside, to appear whole: with half of them, as a kill leaves, MLflow cannot go on."""
+    with whole_file(database) as aside:
+        for left in (aside, aside.with_name(f"{aside.name}-journal")):
+            left.unlink(missing_ok=True)
+        aside.touch()  # where that cannot be done, MLflow would try for minutes
+        mlflow.MlflowClient(f"sqlite:///{aside}").search_experiments(max_results=1)
+
+
 def use_experiment(name: str) -> None:
     """Let runs belong to an experiment of MLflow's, made if need be; beside a database file, files lie in `mlruns/`.
 
@@ -126,12 +142,13 @@ def check_writable() -> None:
         UserError: it cannot.
     """
     database = _database()
-    if database and database.exists() and not os.access(database, os.W_OK):
-        with store_errors():
-            raise PermissionError(errno.EACCES, "its file cannot be written", str(database))
+    if database and database.exists():
+        with store_errors(), contextlib.closing(sqlite3.connect(database, timeout=60)) as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            connection.execute("CREATE TABLE probe (id)")  # not kept: nothing is committed
 
 
-@contextmanager
+@contextlib.contextmanager
 def store_lock() -> Iterator[None]:
     """Let one process at a time do what takes several steps, where the store is a database file; else do not wait."""
     database = _database()

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.files import new_folder, write_text
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena, Robot, StrictModel
@@ -65,26 +65,27 @@ def run(options: Options) -> dict[str, Any]:
     """
     settings = options.model_dump(mode="json")
     inputs = [options.models, *options.recordings.values()]
-    check_output(options.output, "experiment", options.overwrite, inputs)
     models = _model_folders(options.models)
     recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}
     given = [
         *(recording_input(options.recordings[name], "test", recording) for name, recording in recordings.items()),
         *(model_input(folder, "model") for folder in models),
     ]
-    with tracked_run("dynamics", f"{options.robot.name} models compared", settings, given) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            entries = _entries(options, models, recordings)
-            best = best_entry(entries)
-            _save(folder, entries, best, options.robot.arena_mm)
-            if options.pictures:
-                draw_comparison(folder, folder)
+    with (
+        new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("dynamics", f"{options.robot.name} models compared", settings, given) as tracked,
+    ):
+        entries = _entries(options, models, recordings)
+        best = best_entry(entries)
+        _save(folder, entries, best, options.robot.arena_mm)
+        if options.pictures:
+            draw_comparison(folder, folder)
         for entry in entries:
             for recording, measurement in entry.measurements.items():
                 figures = measurement.overall.tracked()
                 tracked.metrics({f"{entry.name}/{recording}/{key}": value for key, value in figures.items()})
         tracked.tag("best_model", best.name)
-        tracked.folder(options.output, "comparison")
+        tracked.folder(folder, "comparison")
     Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
     one_step = best.measurements["train_vehicle"].overall.one_step
     figures = {"position_mm": one_step.position_mm, "orientation_deg": one_step.orientation_deg}

@@ -6,6 +6,7 @@ with nothing wrong. The diagnosis sees the recordings alone.
 
 import json
 import logging
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from swarmtwin.configuration import config_folder
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.files import CHECKPOINTS, check_output, new_folder, write_text
 from swarmtwin.learning.device import one_thread
 from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.learning.progress_bars import quieter
@@ -125,13 +126,17 @@ def run(options: Options) -> dict[str, Any]:
     cases = draw_cases(robots, options.plan, options.count, options.cases)
     if not cases:
         raise UserError("no case is left: give more kinds in cases=[...]")
-    with tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite, keep_partial=True) as folder:
-            results = _results(options, robots, cases, folder / "results.jsonl")
-            summary = summarise(results)
-            _save(folder, results, summary)
+    with (
+        new_folder(options.output, "experiment", settings, options.overwrite, resumable=True) as folder,
+        tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked,
+    ):
+        file = folder / CHECKPOINTS / "results.jsonl"
+        results = _results(options, robots, cases, file)
+        shutil.copy(file, folder)
+        summary = summarise(results)
+        _save(folder, results, summary)
         tracked.metrics(_tracked(summary))
-        tracked.folder(options.output, "hidden_effects")
+        tracked.folder(folder, "hidden_effects")
     console = Console()
     for table in study_tables(summary):
         console.print(table.drawn())

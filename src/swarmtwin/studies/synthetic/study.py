@@ -23,7 +23,7 @@ from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.trained_folder import provenance_of
 from swarmtwin.dynamics.training import SeedResult, Trained, TrainingJob, train_seeds
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_output, new_folder, write_text
+from swarmtwin.files import new_folder, write_text
 from swarmtwin.generators.generator import generator_config
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.recordings.reading import read_recording
@@ -99,26 +99,26 @@ def run(options: Options) -> dict[str, Any]:
     if not options.transitions.is_dir():
         raise UserError(f"no transitions in {options.transitions}: run `dvc repro` first, or give transitions=...")
     inputs = [options.transitions, *options.recordings.values()]
-    check_output(options.output, "experiment", options.overwrite, inputs)
     real = prepared_transitions(options.transitions, options.robot)
     recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}
     given = [
         *split_inputs(options.transitions, real[0]),
         *(recording_input(options.recordings[name], "test", recording) for name, recording in recordings.items()),
     ]
-    name = f"{options.robot.name} real and synthetic"
-    with tracked_run("generator", name, settings, given, options.seed) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            outcomes = _outcomes(options, cases, real, recordings)
-            table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome)])
-            table.to_csv(folder / "table.csv", index=False)
-            write_text(folder / "metrics.json", json.dumps(_metrics(outcomes), indent=1) + "\n")
-            if options.pictures:
-                draw_cases(folder, folder)
+    with (
+        new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("generator", f"{options.robot.name} real and synthetic", settings, given, options.seed) as tracked,
+    ):
+        outcomes = _outcomes(options, cases, real, recordings)
+        table = pd.DataFrame([row for outcome in outcomes for row in _rows(outcome)])
+        table.to_csv(folder / "table.csv", index=False)
+        write_text(folder / "metrics.json", json.dumps(_metrics(outcomes), indent=1) + "\n")
+        if options.pictures:
+            draw_cases(folder, folder)
         for row in table.to_dict("records"):
             figures = {name: row[name] for name in ERRORS if row[name] is not None}
             tracked.metrics({f"{row['case']}/{row['recording']}/{name}": value for name, value in figures.items()})
-        tracked.folder(options.output, "comparison")
+        tracked.folder(folder, "comparison")
     Console().print(case_table(options.robot.title, table))
     measured = table[table.recording == "train_vehicle"].dropna(subset="position_mm").sort_values("position_mm")
     figures = {f"best_{name}": row[name] for row in measured.head(1).to_dict("records") for name in ("case", *ERRORS)}

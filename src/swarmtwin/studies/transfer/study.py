@@ -68,15 +68,17 @@ def run(options: Options) -> dict[str, Any]:
     check_output(options.output, "experiment", options.overwrite, inputs)
     policies = policies_of(options.policies, options.robot)
     given = [model_input(policy.folder, "policy") for policy in policies]
-    with tracked_run("transfer", f"{options.robot.name} policies", settings, given, options.seed) as tracked:
-        with new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder:
-            entries = [_entry(options, policy) for policy in policies]
-            _save(folder, entries)
-            if options.pictures:
-                draw_transfer(folder, folder)
+    with (
+        new_folder(options.output, "experiment", settings, options.overwrite, inputs=inputs) as folder,
+        tracked_run("transfer", f"{options.robot.name} policies", settings, given, options.seed) as tracked,
+    ):
+        entries = [_entry(options, policy) for policy in policies]
+        _save(folder, entries)
+        if options.pictures:
+            draw_transfer(folder, folder)
         for entry in entries:
             tracked.metrics(tracked_figures(entry.metrics, f"{entry.name}/"))
-        tracked.folder(options.output, "transfer")
+        tracked.folder(folder, "transfer")
     Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
     Console().print(f"pictures and films: {options.output}", highlight=False, soft_wrap=True)
     success = {
