@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, NoReturn
@@ -19,18 +19,19 @@ from typing import Any, NoReturn
 import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
 from swarmtwin.commands.option_help import show_help
+from swarmtwin.commands.option_mistakes import check_overrides, explain
 from swarmtwin.commands.outside_config import check_outside_configs
-from swarmtwin.configuration import config_files, config_folder, config_folders, let_hydra_find_plugins
-from swarmtwin.errors import RefusedError, UserError, near_miss
+from swarmtwin.configuration import config_folder, let_hydra_find_plugins
+from swarmtwin.errors import RefusedError, UserError
 
 
 class Status(IntEnum):
@@ -58,6 +59,7 @@ def run_command(name: str, arguments: list[str]) -> Status:
     config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
     try:
         let_hydra_find_plugins()
+        check_overrides(arguments)
         check_outside_configs(arguments)
         study = chosen_study(arguments) if name == "experiment" else None
         if name == "experiment":
@@ -153,57 +155,6 @@ def _task(module_name: str, failures: list[Exception]) -> Callable[[DictConfig],
             failures.append(error)
 
     return task
-
-
-def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str:
-    """Say in one line what a Hydra or OmegaConf error means and what to do, naming the option probably meant.
-
-    `arguments` tell which choices of groups the options belong to.
-    """
-    text = str(error)
-    if isinstance(error, MissingMandatoryValue):
-        return f"option {error.full_key!r} is missing: add {error.full_key}=..."
-    if isinstance(error, MissingConfigException):
-        if missing := re.search(r"Could not find '([^']+)/([^'/]+)'", text):
-            group, choice = missing.groups()
-            return f"no such {group}: {choice!r}: {near_miss(choice, config_files(group))}"
-        return text.splitlines()[0]
-    if unknown := re.search(r"Could not override '([^']+)'", text):
-        option = unknown.group(1)
-        config = _composed(config_name, arguments)
-        last = option.rpartition(".")[2]
-        paths = _paths(OmegaConf.to_container(config))
-        if elsewhere := [repr(path) for path in paths if path.rpartition(".")[2] == last]:
-            return f"unknown option {option!r}: did you mean {' or '.join(elsewhere[:3])}?"
-        return f"unknown option {option!r}: {near_miss(*_unknown_and_known(config, option))}"
-    return " ".join(text.split())
-
-
-def _composed(config_name: str, arguments: Sequence[str]) -> DictConfig:
-    """Return a configuration with the choices of groups that arguments make."""
-    shipped = {f"{file.parent.name}={file.stem}" for folder in config_folders() for file in folder.glob("*/*.yaml")}
-    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-        config = hydra.compose(config_name)
-        choices = [choice for choice in arguments if choice in shipped and choice.partition("=")[0] in config]
-        return hydra.compose(config_name, choices)
-
-
-def _paths(content: Any, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all options in a configuration's plain content."""
-    if isinstance(content, dict):
-        for key, value in content.items():
-            yield f"{prefix}{key!s}"
-            yield from _paths(value, f"{prefix}{key!s}.")
-
-
-def _unknown_and_known(config: DictConfig, option: str) -> tuple[str, list[str]]:
-    """Return the first part of a dotted `option` that does not exist, and the options there are in its place."""
-    parent = option.rpartition(".")[0]
-    if parent and OmegaConf.select(config, parent) is None:
-        return _unknown_and_known(config, parent)
-    node = OmegaConf.select(config, parent) if parent else config
-    prefix = f"{parent}." if parent else ""
-    return option, [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
 
 
 def _report(name: str, message: str, status: Status) -> Status:
