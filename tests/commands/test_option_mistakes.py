@@ -41,10 +41,9 @@ def test_a_mistyped_option_is_one_sentence_with_the_remedy(workplace, capfd, arg
     assert list(workplace.iterdir()) == []
 
 
-def test_two_values_for_one_option_are_told_and_one_given_twice_is_not(workplace, capfd):
-    assert run_command("prepare", ["recording=nowhere", "output=a", "output=b"]) == 2
-    assert "option 'output' is given twice, output=a and output=b: leave one" in capfd.readouterr().err
-    assert run_command("prepare", ["recording=nowhere", "output=a", "output=a"]) == 2
+def test_of_an_option_given_twice_the_last_value_holds_and_that_is_said(workplace, capfd, caplog):
+    assert run_command("prepare", ["recording=here", "recording=nowhere", "output=a", "output=a"]) == 2
+    assert caplog.messages == ["option 'recording' is given twice: recording=nowhere holds, not recording=here"]
     assert "no recording folder nowhere" in capfd.readouterr().err
 
 

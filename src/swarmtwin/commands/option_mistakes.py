@@ -1,5 +1,6 @@
 """What is wrong with the options as they were typed: one sentence with the remedy in place of Hydra's own words."""
 
+import logging
 import re
 from collections.abc import Iterator, Sequence
 from typing import Any, NoReturn
@@ -15,9 +16,11 @@ from omegaconf.errors import InterpolationResolutionError, MissingMandatoryValue
 from swarmtwin.configuration import config_files, config_folder, config_folders
 from swarmtwin.errors import UserError, near_miss
 
+logger = logging.getLogger(__name__)
+
 
 def check_overrides(arguments: Sequence[str]) -> None:
-    """Check that arguments are options with values that Hydra can read, each given once.
+    """Check that arguments are options with values that Hydra can read; of one given twice, say which value holds.
 
     Raises:
         UserError: one is not.
@@ -32,11 +35,11 @@ def check_overrides(arguments: Sequence[str]) -> None:
     overrides = [_parsed(argument) for argument in typed.overrides]
     for override in overrides:
         _check_value(override)
-    given: dict[str, str] = {}
+    given = {override.get_key_element().lstrip("+"): str(override.input_line) for override in overrides}
     for override in overrides:
         name, line = override.get_key_element().lstrip("+"), str(override.input_line)
-        if given.setdefault(name, line) != line:
-            raise UserError(f"option {name!r} is given twice, {given[name]} and {line}: leave one of them out")
+        if given[name] != line:
+            logger.warning("option %r is given twice: %s holds, not %s", name, given[name], line)
 
 
 def _refuse(message: str) -> NoReturn:
