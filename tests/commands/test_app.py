@@ -14,6 +14,7 @@ from swarmtwin import commands
 from swarmtwin.commands.app import run_command
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import studies
+from swarmtwin.commands.inputs import INPUTS
 from swarmtwin.configuration import config_folder
 
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
@@ -199,6 +200,9 @@ def test_every_command_has_a_configuration_that_its_options_accept(config, modul
     fields = {field.alias or name for name, field in options.model_fields.items()}
     assert set(composed) == fields
     options.parse(OmegaConf.to_container(composed, resolve=True), config)
+    paths = {field.alias or name for name, field in options.model_fields.items() if "Path" in str(field.annotation)}
+    made_where_missing = {"generators"}
+    assert paths - {"output"} - made_where_missing <= INPUTS.keys()
 
 
 def test_a_config_folder_of_ones_own_is_found(recording, workplace):

@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import hydra
 import yaml
@@ -27,6 +27,7 @@ from omegaconf.errors import OmegaConfBaseException
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
+from swarmtwin.commands.inputs import check_inputs
 from swarmtwin.commands.option_help import show_help
 from swarmtwin.commands.option_mistakes import check_overrides, explain
 from swarmtwin.commands.outside_config import check_outside_configs
@@ -70,7 +71,7 @@ def run_command(name: str, arguments: list[str]) -> Status:
         if {"--help", "-h"} & set(arguments):
             show_help(" ".join([name, *(f"name={study}" for study in [study] if study)]), config_name, arguments)
             return Status.DONE
-        _run_app(module_name, config_name)
+        _run_app(name, module_name, config_name)
     except RefusedError as error:
         return _report(name, str(error), Status.REFUSED)
     except UserError as error:
@@ -90,14 +91,15 @@ def run_command(name: str, arguments: list[str]) -> Status:
     return Status.DONE
 
 
-def _run_app(module_name: str, config_name: str) -> None:
+def _run_app(name: str, module_name: str, config_name: str) -> None:
     """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep.
 
-    The module, and with it what it computes with, is imported only when there is something to run.
+    The module, and with it what it computes with, is imported only when there is something to run, and what it is to
+    read is there.
     """
     failures: list[Exception] = []
     app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
-    app(_task(module_name, failures))()
+    app(_task(name, module_name, failures))()
     if failures:
         raise failures[0]
 
@@ -141,12 +143,13 @@ def _keep_traceback(error: Exception) -> str:
     return "please report it with the traceback above"
 
 
-def _task(module_name: str, failures: list[Exception]) -> Callable[[DictConfig], Any]:
+def _task(name: str, module_name: str, failures: list[Exception]) -> Callable[[DictConfig], Any]:
     """Return what Hydra calls. A single run's failure is kept in `failures`: Hydra would print more than one line."""
 
     def task(config: DictConfig) -> Any:
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+            check_inputs(name, cast(dict[str, Any], content))
             module = importlib.import_module(module_name)
             return module.run(module.Options.parse(content, "options"))
         except Exception as error:

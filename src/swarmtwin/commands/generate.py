@@ -54,8 +54,7 @@ def run(options: Options) -> None:
     """
     if options.from_folder:
         return _draw_from(options, options.from_folder)
-    if options.robot is None:
-        raise UserError("say of which robot: robot=..., or give a generator's folder: from=...")
+    assert options.robot is not None
     return _train(options, options.robot)
 
 

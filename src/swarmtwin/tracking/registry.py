@@ -1,6 +1,5 @@
 """Registered models: versions of `<robot>-dynamics`, the newest as `challenger`, the promoted one as `champion`."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,11 @@ from mlflow.exceptions import MlflowException
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
+from swarmtwin.tracking.model_reference import ModelReference, named_folder
 from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
 CHALLENGER, CHAMPION = "challenger", "champion"
 FORMER_CHAMPIONS = "former_champions"
-REFERENCE = re.compile(r"^models:/(?P<name>[^/@]+)(@(?P<alias>[^/@]+)|/(?P<number>\d+))$")
 
 
 @dataclass(frozen=True)
@@ -111,16 +110,14 @@ def find_version(reference: str) -> Version:
     Raises:
         UserError: the reference is malformed, or there is no such name, alias or version.
     """
-    parts = REFERENCE.match(reference)
-    if not parts:
-        raise UserError(f"{reference!r} names no model: write models:/NAME@ALIAS or models:/NAME/VERSION")
-    known = versions(parts["name"])
+    wanted = ModelReference.parse(reference)
+    known = versions(wanted.name)
     if not known:
         with store_errors():
             names = ", ".join(_names(mlflow.MlflowClient())) or "none yet: train one first"
-        raise UserError(f"no registered model {parts['name']!r}; registered: {names}")
+        raise UserError(f"no registered model {wanted.name!r}; registered: {names}")
     for version in known:
-        if parts["alias"] in version.aliases or str(version.number) == parts["number"]:
+        if wanted.alias in version.aliases or version.number == wanted.version:
             return version
     raise UserError(f"{reference}: no such version; there are {_describe(known)}")
 
@@ -131,11 +128,7 @@ def model_folder(reference: str) -> Path:
     Raises:
         UserError: there is no such folder, name, alias or version.
     """
-    if reference.startswith("models:"):
-        return find_version(reference).folder()
-    if not Path(reference).is_dir():
-        raise UserError(f"no model folder {reference}: give a folder, models:/NAME@ALIAS or models:/NAME/VERSION")
-    return Path(reference)
+    return named_folder(reference) or find_version(reference).folder()
 
 
 def promote(version: Version, reason: str, against: Version | None) -> None:
@@ -149,6 +142,7 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
     Raises:
         UserError: another version became champion meanwhile.
     """
+    use_store()
     with store_errors(), store_lock():
         former = champion(version.name)
         if (former and former.number) != (against and against.number):
@@ -166,6 +160,7 @@ def roll_back(name: str) -> tuple[int, int]:
     Raises:
         UserError: there is no champion, or none before it.
     """
+    use_store()  # which may have to make it, and that takes the lock as well
     with store_errors(), store_lock():
         demoted = champion(name)
         if demoted is None:

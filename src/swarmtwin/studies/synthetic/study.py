@@ -22,7 +22,6 @@ from swarmtwin.dynamics.model_config import model_config
 from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.trained_folder import provenance_of
 from swarmtwin.dynamics.training import SeedResult, Trained, TrainingJob, train_seeds
-from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.generators.generator import generator_config
 from swarmtwin.learning.recipe import Recipe
@@ -93,8 +92,6 @@ def run(options: Options) -> None:
     """
     settings = options.model_dump(mode="json")
     cases = chosen_cases(options.cases, options.robot)
-    if not options.transitions.is_dir():
-        raise UserError(f"no transitions in {options.transitions}: run `dvc repro` first, or give transitions=...")
     inputs = [options.transitions, *options.recordings.values()]
     check_output(options.output, "experiment", options.overwrite, inputs)
     with tracked_run(
