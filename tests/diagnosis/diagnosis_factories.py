@@ -23,7 +23,7 @@ from swarmtwin.diagnosis.result import (
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import compose
 from swarmtwin.recordings.recording import Recording, Track
-from swarmtwin.robot import CommandColumn, Robot
+from swarmtwin.robot import Robot
 from swarmtwin.simulation.open_loop import open_loop
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import from_recording
@@ -58,14 +58,13 @@ NEXT = NextRecording(
 
 def made_robot(columns=2, arena=(1000, 800)):
     """A robot with any number of command columns."""
-    command = {name: CommandColumn(low=-100, high=100, unit="PWM") for name in NAMES[:columns]}
-    robot = Robot.parse(
+    return Robot.parse(
         {
             "name": "made",
             "title": "Made-up robot",
             "period_s": 0.5,
             "longest_gap_s": 0.6,
-            "command": {name: {"low": -100, "high": 100, "unit": "PWM"} for name in NAMES[:2]},
+            "command": {name: {"low": -100, "high": 100, "unit": "PWM"} for name in NAMES[:columns]},
             "arena_mm": {"x": [0, arena[0]], "y": [0, arena[1]]},
             "largest_displacement": {"forward_mm": 60, "left_mm": 60, "turn_rad": 2.0},
             "situation": ["command"],
@@ -75,7 +74,6 @@ def made_robot(columns=2, arena=(1000, 800)):
         },
         "made",
     )
-    return robot.model_copy(update={"command": command})  # any number, whatever its kinematics want
 
 
 def simulated(command):

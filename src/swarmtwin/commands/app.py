@@ -27,7 +27,6 @@ from omegaconf.errors import OmegaConfBaseException
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_study, studies
-from swarmtwin.commands.inputs import check_inputs
 from swarmtwin.commands.option_help import show_help
 from swarmtwin.commands.option_mistakes import check_overrides, explain
 from swarmtwin.commands.outside_config import check_outside_configs
@@ -149,6 +148,8 @@ def _task(name: str, module_name: str, failures: list[Exception]) -> Callable[[D
     def task(config: DictConfig) -> Any:
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+            from swarmtwin.commands.inputs import check_inputs  # not for --help, which it would make wait
+
             check_inputs(name, cast(dict[str, Any], content))
             module = importlib.import_module(module_name)
             return module.run(module.Options.parse(content, "options"))
