@@ -34,8 +34,9 @@ def test_yaml_and_python_give_the_same_robot(robots):
 
 
 def test_a_robot_of_ones_own_is_one_file(tmp_path):
-    robot = Robot.load(changed(tmp_path, name="mine", command={"thrust": {"low": 0, "high": 1, "unit": "1"}}))
-    assert robot.command_columns == ("thrust",)
+    command = {name: {"low": 0, "high": 1, "unit": "1"} for name in ("port", "starboard")}
+    robot = Robot.load(changed(tmp_path, name="mine", command=command))
+    assert robot.command_columns == ("port", "starboard")
 
 
 @pytest.mark.parametrize(
@@ -53,6 +54,14 @@ def test_a_robot_of_ones_own_is_one_file(tmp_path):
             "field 'kinematics': Value error, no such kinematics: 'unicicle': did you mean 'unicycle'?",
         ),
         ({"command": {}}, "field 'command': Dictionary should have at least 1 item"),
+        (
+            {"kinematics": "tail_fin"},
+            "kinematics 'tail_fin' wants 3 command columns, not 2 (left, right): correct one of the two",
+        ),
+        (
+            {"command": {"thrust": {"low": 0, "high": 1, "unit": "1"}}},
+            "kinematics 'differential_drive' wants 2 command columns, not 1 (thrust)",
+        ),
     ],
 )
 def test_a_wrong_robot_file_is_one_clear_error(tmp_path, changes, message):

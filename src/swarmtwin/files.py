@@ -117,6 +117,16 @@ def check_regular(path: Path) -> None:
         raise UserError(f"{path} is no regular file: put a copy of the file's content there")
 
 
+def check_holds(folder: Path, file: str, holds: str, made_by: str) -> None:
+    """Check that a folder is one of those that the command `made_by` makes, by the `file` that describes what it holds.
+
+    Raises:
+        UserError: there is no such file.
+    """
+    if not (folder / file).exists():
+        raise UserError(f"no {holds} in {folder}: {file} is missing; name a folder that {made_by} made")
+
+
 def folder_digest(folder: Path) -> str:
     """Return a digest of what makes a model folder that model: its weights and its description."""
     content = hashlib.sha256()

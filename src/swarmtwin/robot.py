@@ -121,6 +121,11 @@ class Robot(StrictModel):
             raise ValueError(f"longest_gap_s {self.longest_gap_s} is shorter than the period {self.period_s}")
         if self.actuators and (unknown := [name for name in self.actuators.columns() if name not in self.command]):
             raise ValueError(f"actuators name {unknown[0]!r}, which is no command column: {', '.join(self.command)}")
+        if len(self.command) != (wanted := self.kinematic_equations().command_size):
+            raise ValueError(
+                f"kinematics {self.kinematics!r} wants {wanted} command columns, not {len(self.command)} "
+                f"({', '.join(self.command)}): correct one of the two"
+            )
         return self
 
     @classmethod

@@ -14,6 +14,7 @@ from swarmtwin import commands
 from swarmtwin.commands.app import run_command
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import studies
+from swarmtwin.commands.inputs import INPUTS
 from swarmtwin.configuration import config_folder
 
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
@@ -191,7 +192,7 @@ def test_each_study_is_one_folder_and_one_configuration():
 
 def test_each_command_of_the_table_is_a_module_and_none_is_forgotten():
     folder = Path(commands.__file__).parent
-    shared = {"__init__", "app", "catalogue", "option_help", "outside_config"}
+    shared = {"__init__", "app", "catalogue", "inputs", "option_help", "option_mistakes", "outside_config"}
     modules = {path.stem for path in folder.glob("*.py")} - shared
     assert {command.module for command in COMMANDS.values()} == modules
 
@@ -214,6 +215,9 @@ def test_every_command_has_a_configuration_that_its_options_accept(config, modul
     fields = {field.alias or name for name, field in options.model_fields.items()}
     assert set(composed) == fields
     options.parse(OmegaConf.to_container(composed, resolve=True), config)
+    paths = {field.alias or name for name, field in options.model_fields.items() if "Path" in str(field.annotation)}
+    made_where_missing = {"generators"}
+    assert paths - {"output"} - made_where_missing <= INPUTS.keys()
 
 
 def test_a_config_folder_of_ones_own_is_found(recording, workplace):

@@ -9,7 +9,7 @@ from rich.console import Console
 
 from swarmtwin.commands.catalogue import COMMANDS, Ranking
 from swarmtwin.commands.experiment import studies
-from swarmtwin.commands.sweep import keep_row, read_rows, sweep_table
+from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
 
 SOURCE = Path(str(files("swarmtwin")))
 MODULES = [

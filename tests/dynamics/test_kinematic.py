@@ -1,4 +1,3 @@
-import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -7,7 +6,6 @@ import torch
 
 from swarmtwin.dynamics.models.kinematic import Config, KinematicModel
 from swarmtwin.dynamics.training import train
-from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, integrate_twist
 from toy import DEAD_BAND, GAIN_MM_S, TRACK_MM, recipe, toy_transitions
 
@@ -91,14 +89,3 @@ def test_a_wheel_in_its_dead_band_stands_and_moves_faster_beyond(robots):
     moved = dynamics.network(torch.tensor(np.column_stack([both, both]), dtype=torch.float32))[:, 0].tolist()
     assert moved[0] == moved[1] == 0
     assert all(slower < faster for slower, faster in pairwise(moved[1:]))
-
-
-def test_kinematics_that_do_not_fit_the_commands_are_refused(robots):
-    robot = robots["mur"].model_copy(update={"kinematics": "differential_drive"})
-    transitions = dataclasses.replace(toy_transitions(robots["mur"], 300, mean=np.zeros_like), robot=robot)
-    with pytest.raises(UserError) as error:
-        train(transitions, Config(), recipe(), seeds=[0])
-    assert str(error.value) == (
-        "robot 'mur': kinematics 'differential_drive' wants 2 command columns, got 3: mean_angle_deg, amplitude_deg, "
-        "frequency_rad_s; correct conf/robot/mur.yaml"
-    )

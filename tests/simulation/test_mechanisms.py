@@ -100,11 +100,12 @@ def test_what_makes_no_sense_for_a_robot_is_not_offered(robots):
     without_track = set(offered(mgr, conditions_of(mgr, track_mm=None)))
     assert without_track & CATALOGUE == CATALOGUE - {"actuator_asymmetry", "backlash"}
     boat = {"kind": "thrust", "effort": ["amplitude_deg"]}
-    unsteered = changed(mur, actuators=boat, kinematics="differential_drive")
+    beat = {name: mur.command[name].model_dump() for name in ("amplitude_deg", "frequency_rad_s")}
+    unsteered = changed(mur, command=beat, actuators=boat, kinematics="unicycle")
     assert set(offered(unsteered, conditions_of(unsteered))) & CATALOGUE == CATALOGUE - {"actuator_asymmetry"}
     columns = {"angle": {"low": -79, "high": 79, "unit": "deg"}, "jet": {"low": 0, "high": 12, "unit": "V"}}
     actuators = {"kind": "thrust", "effort": ["jet"], "steering": "angle"}
-    jet = changed(mur, command=columns, actuators=actuators)
+    jet = changed(mur, command=columns, actuators=actuators, kinematics="unicycle")
     assert set(offered(jet, conditions_of(jet))) & CATALOGUE == CATALOGUE - {"backlash"}
 
 

@@ -69,6 +69,8 @@ def test_misuse_is_named():
         env_of("collective", render_mode="rgb_aray")
     with pytest.raises(UserError, match="the task is for robot 'mgr' and its motion is that of 'mur'"):
         parallel_env(task_named("collective"), SimulatedMotion(simulation_of(robot_named("mur"), "mlp"), 1, 5))
+    with pytest.raises(UserError, match="no such task: 'colective': did you mean 'collective'"):
+        parallel_env("colective", SimulatedMotion(simulation_of(robot_named("mgr"), "mlp"), 1, 5))
     env = env_of("pair")
     with pytest.raises(ValueError, match="no action for vehicle_1"):
         env.step({"vehicle_0": np.zeros(3)})

@@ -11,29 +11,30 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.experiment import chosen_studies, studies
 from swarmtwin.commands.option_help import show_help
+from swarmtwin.commands.option_mistakes import check_overrides, explain
 from swarmtwin.commands.outside_config import check_outside_configs
-from swarmtwin.commands.sweep import keep_row, read_rows, sweep_table
-from swarmtwin.configuration import config_files, config_folder, config_folders, let_hydra_find_plugins
-from swarmtwin.errors import RefusedError, UserError, near_miss
+from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
+from swarmtwin.configuration import config_folder, let_hydra_find_plugins
+from swarmtwin.errors import RefusedError, UserError
 
 
 class Status(IntEnum):
@@ -61,6 +62,7 @@ def run_command(name: str, arguments: list[str]) -> Status:
     sys.argv = [f"swarmtwin {name}", *arguments]
     try:
         let_hydra_find_plugins()
+        check_overrides(arguments)
         check_outside_configs(arguments)
         chosen = chosen_studies(arguments) if name == "experiment" else [""]
         if not chosen:
@@ -103,7 +105,7 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
                     others = [argument for argument in arguments if not argument.startswith("name=")]
                     sys.argv[1:] = [*others, f"name={study}"]
                 try:
-                    _run_app(module_name, config_name, Path(folder) / f"{number:06}")
+                    _run_app(name, module_name, config_name, Path(folder) / f"{number:06}")
                 except (HydraException, OmegaConfBaseException) as error:
                     failures.append(UserError(explain(error, config_name, arguments)))
                 except Exception as error:
@@ -115,14 +117,15 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
         raise failures[0]
 
 
-def _run_app(module_name: str, config_name: str, rows: Path) -> None:
+def _run_app(name: str, module_name: str, config_name: str, rows: Path) -> None:
     """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep.
 
-    The module, and with it what it computes with, is imported only when there is something to run.
+    The module, and with it what it computes with, is imported only when there is something to run, and what it is to
+    read is there.
     """
     failures: list[Exception] = []
     app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
-    app(_task(module_name, failures, rows))()
+    app(_task(name, module_name, failures, rows))()
     if failures:
         raise failures[0]
 
@@ -170,7 +173,7 @@ def _keep_traceback(error: Exception) -> str:
     return "please report it with the traceback above"
 
 
-def _task(module_name: str, failures: list[Exception], rows: Path) -> Callable[[DictConfig], Any]:
+def _task(name: str, module_name: str, failures: list[Exception], rows: Path) -> Callable[[DictConfig], Any]:
     """Return what Hydra calls.
 
     A single run's failure is kept in `failures`: Hydra would print more than one line. What the runs of a sweep come to
@@ -181,6 +184,9 @@ def _task(module_name: str, failures: list[Exception], rows: Path) -> Callable[[
         run = HydraConfig.get()
         try:
             content = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+            from swarmtwin.commands.inputs import check_inputs  # not for --help, which it would make wait
+
+            check_inputs(name, cast(dict[str, Any], content))
             module = importlib.import_module(module_name)
             if run.mode == RunMode.RUN:
                 answer_interrupts(_interrupt)  # until here nothing has begun
@@ -197,57 +203,6 @@ def _task(module_name: str, failures: list[Exception], rows: Path) -> Callable[[
         return headline
 
     return task
-
-
-def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str:
-    """Say in one line what a Hydra or OmegaConf error means and what to do, naming the option probably meant.
-
-    `arguments` tell which choices of groups the options belong to.
-    """
-    text = str(error)
-    if isinstance(error, MissingMandatoryValue):
-        return f"option {error.full_key!r} is missing: add {error.full_key}=..."
-    if isinstance(error, MissingConfigException):
-        if missing := re.search(r"Could not find '([^']+)/([^'/]+)'", text):
-            group, choice = missing.groups()
-            return f"no such {group}: {choice!r}: {near_miss(choice, config_files(group))}"
-        return text.splitlines()[0]
-    if unknown := re.search(r"Could not override '([^']+)'", text):
-        option = unknown.group(1)
-        config = _composed(config_name, arguments)
-        last = option.rpartition(".")[2]
-        paths = _paths(OmegaConf.to_container(config))
-        if elsewhere := [repr(path) for path in paths if path.rpartition(".")[2] == last]:
-            return f"unknown option {option!r}: did you mean {' or '.join(elsewhere[:3])}?"
-        return f"unknown option {option!r}: {near_miss(*_unknown_and_known(config, option))}"
-    return " ".join(text.split())
-
-
-def _composed(config_name: str, arguments: Sequence[str]) -> DictConfig:
-    """Return a configuration with the choices of groups that arguments make."""
-    shipped = {f"{file.parent.name}={file.stem}" for folder in config_folders() for file in folder.glob("*/*.yaml")}
-    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
-        config = hydra.compose(config_name)
-        choices = [choice for choice in arguments if choice in shipped and choice.partition("=")[0] in config]
-        return hydra.compose(config_name, choices)
-
-
-def _paths(content: Any, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all options in a configuration's plain content."""
-    if isinstance(content, dict):
-        for key, value in content.items():
-            yield f"{prefix}{key!s}"
-            yield from _paths(value, f"{prefix}{key!s}.")
-
-
-def _unknown_and_known(config: DictConfig, option: str) -> tuple[str, list[str]]:
-    """Return the first part of a dotted `option` that does not exist, and the options there are in its place."""
-    parent = option.rpartition(".")[0]
-    if parent and OmegaConf.select(config, parent) is None:
-        return _unknown_and_known(config, parent)
-    node = OmegaConf.select(config, parent) if parent else config
-    prefix = f"{parent}." if parent else ""
-    return option, [f"{prefix}{key!s}" for key in node] if isinstance(node, DictConfig) else []
 
 
 def _report(name: str, message: str, status: Status) -> Status:

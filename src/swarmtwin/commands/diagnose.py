@@ -16,7 +16,6 @@ from swarmtwin.diagnosis.result import DiagnosedSession, DiagnosisResult, Gain
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.dynamics.provenance import Provenance
-from swarmtwin.errors import UserError
 from swarmtwin.files import check_output, new_folder, output_folder
 from swarmtwin.learning.device import Device, one_thread
 from swarmtwin.learning.progress_bars import stage_bar
@@ -52,10 +51,8 @@ def run(options: Options) -> dict[str, Any]:
     """Diagnose, save the diagnosis, the extended simulation and the report, track and register; return the verdict.
 
     Raises:
-        UserError: neither or unusable reference or simulation, an unusable measured recording, or the output is taken.
+        UserError: an unusable reference or simulation, an unusable measured recording, or the output is taken.
     """
-    if options.reference is None and options.simulation is None:
-        raise UserError("give reference=DIR, a recording in which nothing is wrong, or simulation=FOLDER|models:/...")
     folder = registry.model_folder(options.simulation) if options.simulation else None
     inputs = [path for path in (options.reference, folder, options.measured) if path]
     name = f"{options.robot.name}-{options.measured.resolve().name}"

@@ -55,8 +55,7 @@ def run(options: Options) -> dict[str, Any]:
     """
     if options.from_folder:
         return _draw_from(options, options.from_folder)
-    if options.robot is None:
-        raise UserError("say of which robot: robot=..., or give a generator's folder: from=...")
+    assert options.robot is not None
     return _train(options, options.robot)
 
 

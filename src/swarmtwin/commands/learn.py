@@ -9,7 +9,6 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
@@ -100,8 +99,6 @@ def _simulation(options: Options) -> tuple[str, Path]:
     if options.simulation:
         return options.simulation, registry.model_folder(options.simulation)
     folder = Path("artifacts/dynamics") / options.robot.name / "crnet_synthetic"
-    if not folder.is_dir():
-        raise UserError(f"no simulation in {folder}: run `dvc repro` first, or give simulation=...")
     return str(folder), folder
 
 

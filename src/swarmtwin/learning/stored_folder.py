@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from swarmtwin.errors import UserError
-from swarmtwin.files import check_regular, whole_file, write_text
+from swarmtwin.files import check_holds, check_regular, whole_file, write_text
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.robot import StrictModel
 
@@ -82,11 +82,9 @@ class StoredFolder(Generic[DescriptionT]):
             ) from None
 
     def _content(self, path: Path) -> Any:
+        check_holds(path.parent, path.name, self.holds, self.made_by)
         try:
             content = read_yaml(path)
-        except (FileNotFoundError, NotADirectoryError):
-            missing = f"no {self.holds} in {path.parent}: {path.name} is missing"
-            raise UserError(f"{missing}; name a folder that {self.made_by} made") from None
         except IsADirectoryError:
             raise self._folder_in_place_of_file(path) from None
         except (yaml.YAMLError, UnicodeDecodeError) as error:

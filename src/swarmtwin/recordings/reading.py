@@ -44,15 +44,14 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
             whole cannot be what it says.
     """
     folder = Path(folder)
-    header = read_header(folder)
-    _check_header(folder / HEADER_FILE, header, robot)
+    header, files = look_into(folder, robot)
     tracks: list[Track] = []
     in_degrees: list[Track] = []
     beyond_a_turn = False
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
-    for file in _run_files(folder):
+    for file in files:
         content = _read_bytes(file)
         digest.update(file.stem.encode() + b"\0" + hashlib.sha256(content).digest())
         table = parse_run(file, content, robot)
@@ -79,6 +78,17 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
         logger.info("%s: %d runs, taken as %d blocks", folder, len(recording.runs), len(cut.runs))
         recording = cut
     return replace(recording, warnings=warnings)
+
+
+def look_into(folder: Path, robot: Robot) -> tuple[Header, list[Path]]:
+    """Read what says that a folder is a recording of `robot`, and list the files of its runs; none of them is read.
+
+    Raises:
+        UserError: it is no such recording, or there are no runs in it.
+    """
+    header = read_header(folder)
+    _check_header(folder / HEADER_FILE, header, robot)
+    return header, _run_files(folder)
 
 
 def read_header(folder: Path) -> Header:

@@ -21,13 +21,13 @@ from mlflow.utils.mlflow_tags import MLFLOW_MODEL_VERSIONS
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking.datasets import files_digest
+from swarmtwin.tracking.model_reference import ModelReference, named_folder
 from swarmtwin.tracking.models import model_data
 from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
 Role = Literal["challenger", "champion"]
 FORMER_CHAMPIONS = "former_champions"
 FILES_DIGEST = "files.digest"
-REFERENCE = re.compile(r"^models:/(?P<name>[^/@]+)(@(?P<alias>[^/@]+)|/(?P<number>\d+))$")
 
 
 @dataclass(frozen=True)
@@ -178,16 +178,14 @@ def find_version(reference: str, task: str | None = None) -> Version:
     Raises:
         UserError: the reference is malformed, there is no such name, alias or version, or it is for another task.
     """
-    parts = REFERENCE.match(reference)
-    if not parts:
-        raise UserError(f"{reference!r} names no model: write models:/NAME@ALIAS or models:/NAME/VERSION")
-    known = versions(parts["name"])
+    wanted = ModelReference.parse(reference)
+    known = versions(wanted.name)
     if not known:
         with store_errors():
             names = ", ".join(_names(mlflow.MlflowClient())) or "none yet: train one first"
-        raise UserError(f"no registered model {parts['name']!r}; registered: {names}")
+        raise UserError(f"no registered model {wanted.name!r}; registered: {names}")
     for version in known:
-        if parts["alias"] in version.aliases or str(version.number) == parts["number"]:
+        if wanted.alias in version.aliases or version.number == wanted.version:
             check_task(version, task)
             return version
     raise UserError(f"{reference}: no such version; there are {_describe(known)}")
@@ -218,11 +216,7 @@ def model_folder(reference: str, task: str | None = None) -> Path:
     Raises:
         UserError: there is no such folder, name, alias or version, or it is for another task.
     """
-    if reference.startswith("models:"):
-        return find_version(reference, task).folder()
-    if not Path(reference).is_dir():
-        raise UserError(f"no model folder {reference}: give a folder, models:/NAME@ALIAS or models:/NAME/VERSION")
-    return Path(reference)
+    return named_folder(reference) or find_version(reference, task).folder()
 
 
 def challenge(version: Version, compare: Callable[[Version], tuple[bool, str]]) -> str:
@@ -259,6 +253,7 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
     Raises:
         UserError: another version became champion meanwhile.
     """
+    use_store()
     with store_errors(), store_lock():
         known = versions(version.name)
         now, alias = _holder(known, "champion", version.task), _alias(known, "champion", version.task)
@@ -277,6 +272,7 @@ def roll_back(name: str, task: str | None = None) -> tuple[int, int]:
     Raises:
         UserError: there is no champion, or none before it.
     """
+    use_store()  # which may have to make it, and that takes the lock as well
     with store_errors(), store_lock():
         known = versions(name)
         demoted, alias = _holder(known, "champion", task), _alias(known, "champion", task)

@@ -1,6 +1,5 @@
 """Every run in MLflow: its configuration, the code's commit, its inputs, its seed, metrics and plots."""
 
-import atexit
 import os
 import socket
 import subprocess
@@ -12,10 +11,8 @@ from typing import Any, Literal
 
 import mlflow
 import yaml
-from hydra.experimental.callback import Callback
 from matplotlib.figure import Figure
 from mlflow.entities import Metric
-from omegaconf import DictConfig
 
 from swarmtwin.files import CHECKPOINTS
 from swarmtwin.tracking.datasets import Dataset, dvc_hashes, log_datasets
@@ -198,24 +195,6 @@ def parent_run(experiment: Experiment, name: str, kind: Literal["sweep", "study"
         close_parent(run_id, "FAILED")
         raise
     close_parent(run_id, "FINISHED")
-
-
-class SweepCallback(Callback):
-    """Gives the runs of a Hydra sweep one parent run in the experiment of their command."""
-
-    def __init__(self, experiment: Experiment) -> None:
-        self.experiment = experiment
-
-    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Open the parent before the first run starts; should the sweep break off, it is closed as failed."""
-        name = " ".join(config.hydra.overrides.task) or "sweep"
-        self.run_id = open_parent(self.experiment, name[:250], "sweep")
-        atexit.register(close_parent, self.run_id, "FAILED")
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Close the parent after the last run ended."""
-        atexit.unregister(close_parent)
-        close_parent(self.run_id, "FINISHED")
 
 
 def _flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -42,16 +42,28 @@ def training_transitions(
     Raises:
         UserError: both or neither are there, the data are of another robot, or at fault.
     """
+    folder = training_folder(robot, transitions, recording, vehicles)
+    if recording:
+        return *_prepared(read_vehicles(folder, robot, vehicles), folder.resolve().name, split), folder
+    return *prepared_transitions(folder, robot), folder
+
+
+def training_folder(robot: Robot, transitions: Path | None, recording: Path | None, vehicles: Vehicles) -> Path:
+    """Return the recording or the prepared transitions to learn from: those given, or the pipeline's.
+
+    Raises:
+        UserError: both are given, or neither and the pipeline has not run.
+    """
     if transitions and recording:
         raise UserError("give transitions=... or recording=..., not both")
     if recording:
-        return *_prepared(read_vehicles(recording, robot, vehicles), recording.resolve().name, split), recording
+        return recording
     if vehicles is not None:
         raise UserError("vehicles=... chooses from a recording: give recording=... as well")
     folder = transitions or Path("artifacts/transitions") / robot.name
     if transitions is None and not folder.is_dir():
         raise UserError(f"no transitions in {folder}: run `dvc repro` first, or give recording=... or transitions=...")
-    return *prepared_transitions(folder, robot), folder
+    return folder
 
 
 def prepared_transitions(folder: Path, robot: Robot) -> tuple[Transitions, Preparation]:
@@ -60,10 +72,20 @@ def prepared_transitions(folder: Path, robot: Robot) -> tuple[Transitions, Prepa
     Raises:
         UserError: there are none, they are damaged, or of another robot.
     """
+    preparation = preparation_of(folder, robot)
+    return load_transitions(folder), preparation
+
+
+def preparation_of(folder: Path, robot: Robot) -> Preparation:
+    """Read how transitions of `robot` came about.
+
+    Raises:
+        UserError: there are none, or they are of another robot.
+    """
     preparation = load_preparation(folder)
     if preparation.robot != robot.name:
         raise UserError(f"{folder} holds transitions of robot {preparation.robot!r}: add robot={preparation.robot}")
-    return load_transitions(folder), preparation
+    return preparation
 
 
 def read_vehicles(folder: Path, robot: Robot, vehicles: Vehicles) -> Recording:

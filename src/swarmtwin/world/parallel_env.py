@@ -1,28 +1,54 @@
 """One world as a PettingZoo parallel environment, for any library that speaks it."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
+from swarmtwin.configuration import config_files
 from swarmtwin.errors import UserError, near_miss
-from swarmtwin.world.motion import Motion
+from swarmtwin.plain_yaml import read_yaml
+from swarmtwin.robot import Arena, Robot
+from swarmtwin.simulation.simulation_folder import load_simulation
+from swarmtwin.world.motion import Motion, SimulatedMotion
 from swarmtwin.world.rendering.frame import Frame, Status
-from swarmtwin.world.task import Task
+from swarmtwin.world.task import Task, task_config
 from swarmtwin.world.world import Step, World
 
 Observations = dict[str, np.ndarray]
 Infos = dict[str, dict[str, Any]]
 
 
-def parallel_env(task: Task, motion: Motion, seed: int = 0, render_mode: str | None = None) -> "SwarmEnv":
-    """Return the environment of a task whose vehicles are moved by `motion`, which has one world.
+def parallel_env(
+    task: Task | str, motion: Motion | Path | str, seed: int = 0, render_mode: str | None = None
+) -> "SwarmEnv":
+    """Return the environment of a task whose vehicles are moved by `motion`.
+
+    Args:
+        task: what the vehicles are asked to do, or the name of a file in `conf/task/`.
+        motion: what moves them, of one world; or a model's folder, as train or a diagnosis leaves it.
+        seed: of the scenarios.
+        render_mode: `rgb_array`, or None: no pictures.
 
     Raises:
-        UserError: the motion is of another robot, or there is no such render mode.
+        UserError: there is no such task, model or render mode, or the motion is of another robot.
     """
-    return SwarmEnv(task, motion, seed, render_mode)
+    if not isinstance(motion, Path | str):
+        return SwarmEnv(_built(task, motion.robot), motion, seed, render_mode)
+    simulation = load_simulation(Path(motion))
+    task = _built(task, simulation.robot, simulation.conditions.arena_mm)
+    return SwarmEnv(task, SimulatedMotion(simulation, worlds=1, vehicles=task.vehicles), seed, render_mode)
+
+
+def _built(task: Task | str, robot: Robot, arena: Arena | None = None) -> Task:
+    if isinstance(task, Task):
+        return task
+    known = config_files("task")
+    if task not in known:
+        raise UserError(f"no such task: {task!r}: {near_miss(task, known)}")
+    return task_config(read_yaml(known[task]), str(known[task])).build(robot, arena)
 
 
 class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from swarmtwin.dynamics.model_config import ModelConfig, Steps
-from swarmtwin.errors import UserError
 from swarmtwin.geometry import integrate_twist
 from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
@@ -16,20 +15,12 @@ class KinematicModel(nn.Module):
     """Commands in the robot's units (N, m) → displacements (N, 3), by the equations that the robot's file names.
 
     A positive parameter is learned as the logarithm of its ratio to its size, a signed one as its ratio.
-
-    Raises:
-        UserError: the equations want other commands than the robot has.
     """
 
     def __init__(self, robot: Robot) -> None:
         super().__init__()
         self.robot = robot
         self.equations = robot.kinematic_equations()
-        if len(robot.command) != self.equations.command_size:
-            raise UserError(
-                f"robot {robot.name!r}: kinematics {robot.kinematics!r} wants {self.equations.command_size} command "
-                f"columns, got {len(robot.command)}: {', '.join(robot.command)}; correct conf/robot/{robot.name}.yaml"
-            )
         self.parameters_by_name = dict(self.equations.parameters(robot))
         self.free = nn.ParameterDict({name: nn.Parameter(torch.zeros(())) for name in self.parameters_by_name})
 

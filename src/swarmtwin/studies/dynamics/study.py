@@ -111,12 +111,7 @@ def best_entry(entries: Sequence[Entry]) -> Entry:
 
 
 def _model_folders(parent: Path) -> list[Path]:
-    if not parent.is_dir():
-        raise UserError(f"no folder {parent} with models: run `dvc repro` first")
-    folders = sorted(folder for folder in parent.iterdir() if (folder / "model.yaml").exists())
-    if not folders:
-        raise UserError(f"{parent} holds no model folder: run `dvc repro` first")
-    return folders
+    return sorted(folder for folder in parent.iterdir() if (folder / "model.yaml").exists())
 
 
 def _entries(options: Options, folders: Sequence[Path], recordings: Mapping[str, Recording]) -> list[Entry]:

@@ -22,7 +22,6 @@ from swarmtwin.dynamics.model_config import model_config
 from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.trained_folder import provenance_of
 from swarmtwin.dynamics.training import SeedResult, Trained, TrainingJob, train_seeds
-from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder, write_text
 from swarmtwin.generators.generator import generator_config
 from swarmtwin.learning.recipe import Recipe
@@ -96,8 +95,6 @@ def run(options: Options) -> dict[str, Any]:
     """
     settings = options.model_dump(mode="json")
     cases = chosen_cases(options.cases, options.robot)
-    if not options.transitions.is_dir():
-        raise UserError(f"no transitions in {options.transitions}: run `dvc repro` first, or give transitions=...")
     inputs = [options.transitions, *options.recordings.values()]
     real = prepared_transitions(options.transitions, options.robot)
     recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}

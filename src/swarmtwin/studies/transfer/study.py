@@ -94,8 +94,6 @@ def policies_of(folder: Path, robot: Robot) -> list[StoredPolicy]:
     Raises:
         UserError: there is none, or one is damaged.
     """
-    if not folder.is_dir():
-        raise UserError(f"no folder {folder} with policies: run `dvc repro` first, or swarmtwin learn")
     found = sorted(path for path in folder.iterdir() if (path / DESCRIPTION).exists())
     policies = [policy for policy in map(load_policy, found) if policy.robot.name == robot.name]
     if not policies:
