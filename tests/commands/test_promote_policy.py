@@ -34,7 +34,9 @@ def test_a_policy_that_stands_still_is_refused_and_one_that_arrives_is_not(promo
     assert champion_number() == 2
 
 
-def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_not(promote, workshop, swarmtwin, crown):
+def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_not(
+    promote, workshop, swarmtwin, crown
+):
     crown(save_seeker(workshop / "seeker"), NAME, task="collective")
     worse = promote(save_seeker(workshop / "slow", speed=0.3), "policy_gate.least_success=0")
     assert worse.status == 3
