@@ -105,12 +105,12 @@ def test_of_a_sweep_the_best_challenges_whichever_is_last(swarmtwin, workshop):
             "train",
             "-m",
             "model=mlp",
-            "model.steps=2,150,2",
+            "model.steps=2,150,3",
             "recording=short_runs",
             "recipe.batch_size=128",
             "seeds=1",
         ),
-        "output=steps-${model.steps}-${hydra:job.num}",
+        "output=steps-${model.steps}",
     )
     assert answer.status == 0, answer.error
     said = " ".join(answer.shown.split())

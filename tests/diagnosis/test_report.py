@@ -136,6 +136,8 @@ def test_every_verdict_has_its_page_and_loads_nothing(tmp_path, verdict, changes
     page = page_of(made_session(diagnosis, moved_late if verdict != "no_gap" else moved_as_simulated), tmp_path)
     assert sentence in page.above
     assert ("before" in page.above.split()) == (diagnosis.extension != "none")
+    kept = diagnosis.extension != "none" and not diagnosis.not_confirmed
+    assert ("go on with the extended simulation" in page.above) == kept
     text = (tmp_path / "report.html").read_text()
     assert f'class="verdict {verdict}"' in text
     assert all(source.startswith("data:image/png;base64,iVBOR") for source in page.loaded)

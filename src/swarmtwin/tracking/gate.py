@@ -114,10 +114,12 @@ class PolicyVerdict:
     Attributes:
         refusals: the demands that it does not meet.
         found: success and collisions, and the changes against the other policy.
+        approval: what is said where it is not refused.
     """
 
     refusals: tuple[str, ...]
     found: str
+    approval: str = "every demand is met"
 
     @property
     def passed(self) -> bool:
@@ -125,7 +127,7 @@ class PolicyVerdict:
         return not self.refusals
 
     def __str__(self) -> str:
-        return f"{self.found}: {'; '.join(self.refusals) or 'every demand is met'}"
+        return f"{self.found}: {'; '.join(self.refusals) or self.approval}"
 
 
 def judge_policy(
@@ -203,7 +205,7 @@ def judge_challenging_policy(
         f"{reward.mean:+.3f} ({reward.low:+.3f} to {reward.high:+.3f}) in {len(candidate.succeeded)} roll-outs in the "
         "simulation from the same starts"
     )
-    return PolicyVerdict(tuple(refusals), found)
+    return PolicyVerdict(tuple(refusals), found, "measurably better")
 
 
 class _Change(NamedTuple):
