@@ -6,7 +6,7 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data dependencies lock queue fuzz kill
+.PHONY: help setup run test benchmark lint ui data notebooks dependencies lock queue fuzz kill
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
@@ -16,6 +16,7 @@ help:
 	@echo "make benchmark  speed and memory, as figures and ratios"
 	@echo "make data       drive the stand-in robots again: the recordings in data/, anew"
 	@echo "make dependencies  write into dvc.yaml which code each stage hangs on, after imports have changed"
+	@echo "make notebooks  run the notebooks and store what they show in them"
 	@echo "make lock       pin the environment as it is installed now in constraints.txt"
 
 setup: .venv/installed
@@ -26,14 +27,16 @@ setup: .venv/installed
 	$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-run: setup  # the robots' pipelines side by side; a refused promotion is an answer, not a failure
+PROMOTE := $(BIN)/swarmtwin promote
+run: setup  # the robots' pipelines side by side; a refused promotion (exit status 3) is an answer, not a failure
 	$(BIN)/dvc pull --quiet data
+	$(BIN)/dvc repro --quiet code
 	-$(MAKE) --no-print-directory --jobs=2 pipeline@mgr pipeline@mur
 	$(BIN)/dvc repro
-	-$(BIN)/swarmtwin promote robot=mgr candidate=artifacts/comparison/mgr/best
-	-$(BIN)/swarmtwin promote robot=mur candidate=artifacts/comparison/mur/best
-	-$(BIN)/swarmtwin promote robot=mgr what=policy candidate=artifacts/policies/mgr/collective
-	-$(BIN)/swarmtwin promote robot=mur what=policy candidate=artifacts/policies/mur/pair
+	$(PROMOTE) robot=mgr candidate=artifacts/comparison/mgr/best || [ $$? = 3 ]
+	$(PROMOTE) robot=mur candidate=artifacts/comparison/mur/best || [ $$? = 3 ]
+	$(PROMOTE) robot=mgr what=policy candidate=artifacts/policies/mgr/collective || [ $$? = 3 ]
+	$(PROMOTE) robot=mur what=policy candidate=artifacts/policies/mur/pair || [ $$? = 3 ]
 	$(BIN)/swarmtwin experiment name=overview
 
 pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time; who finds it busy tries again
@@ -80,6 +83,10 @@ data: setup  # what the paper had, and a later session of the ground robot that 
 	$(RECORD) robot=mur vehicle=2 transitions=1372 steps=49 seed=6 output=data/mur/other_vehicle
 	$(RECORD) robot=mur vehicle=1 runs=20 steps=60 seed=7 output=data/mur/open_loop
 	$(BIN)/dvc add --quiet data && $(BIN)/dvc push --quiet data
+
+notebooks: setup
+	$(BIN)/dvc pull --quiet data
+	$(BIN)/pytest --nbmake --overwrite notebooks
 
 dependencies: setup
 	$(BIN)/python -m swarmtwin.tracking.pipeline
