@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from swarmtwin.errors import UserError
-from swarmtwin.files import folder_digest
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.challengers import challenge_by_errors
+from swarmtwin.tracking.datasets import files_digest
 from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.runs import tracked_run
 
@@ -216,8 +216,8 @@ def test_files_that_were_changed_are_refused_with_both_digests(publish):
     file.write_text("two")
     with pytest.raises(UserError, match=r"version 1 in .* are not those that were registered: their digest is") as told:
         registry.model_folder(f"models:/{NAME}/1")
-    assert version.tags["digest"] in str(told.value)
-    assert folder_digest(file.parent) in str(told.value)
+    assert version.tags["files.digest"] in str(told.value)
+    assert files_digest(file.parent) in str(told.value)
     file.write_text("one")
     assert registry.model_folder(f"models:/{NAME}/1") == file.parent
 
