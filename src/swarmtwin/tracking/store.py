@@ -34,7 +34,7 @@ def store_errors() -> Iterator[None]:
     except (MlflowException, SQLAlchemyError, sqlite3.Error, requests.RequestException, OSError) as error:
         if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise
-        lines = str(error).strip().splitlines()
+        lines = str(error).strip().splitlines() or [type(error).__name__]
         if any("disk is full" in line for line in lines):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(_database())) from error
         uri, reason = store_uri(), next((line for line in lines if line.startswith("(sqlite3.")), lines[0])
