@@ -210,6 +210,14 @@ def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
     assert "position after one period 6.50 mm 3.20 mm −3.3 mm (−3.5 to −3.1), −51 %" in words
     assert "Error over the session" in words
     assert "over the place" not in words
+    assert "Unusual" not in words
+
+    prepared = workshop / "artifacts" / "transitions" / "mgr" / "preparation.json"
+    prepared.write_text(json.dumps(json.loads(prepared.read_text()) | {"warnings": ["is it clipped?", "x < y"]}))
+    answer = swarmtwin(*overview, "overwrite=true")
+    assert "warning: mgr: is it clipped?\nwarning: mgr: x < y\n" in answer.shown
+    text = (workshop / "overview" / "overview.html").read_text()
+    assert "<li>is it clipped?</li><li>x &lt; y</li>" in text
 
     (folder / "diagnosis.json").write_text("{")
     answer = swarmtwin(*overview, "overwrite=true")

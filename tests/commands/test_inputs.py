@@ -35,7 +35,7 @@ MISTAKES = [
     ("promote what=policy candidate=models:x", "'models:x' names no model"),
     ("experiment name=dynamics output=o", "no folder artifacts/dynamics/mgr with models: run `dvc repro` first"),
     ("experiment name=transfer policies=empty output=o", "empty holds no policy of robot 'mgr'"),
-    ("experiment name=overview", "artifacts holds no comparison of models: run `dvc repro` first"),
+    ("experiment name=overview", "artifacts/comparison/mgr holds no comparison of models: run `dvc repro` first"),
     ("experiment name=pictures folder=empty output=o", "empty holds no output of swarmtwin"),
     ("experiment name=hidden_effects robots=[mrg] output=o", "robots: no such robot: 'mrg': did you mean 'mgr'?"),
 ]

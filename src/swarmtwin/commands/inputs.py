@@ -49,6 +49,8 @@ def check_inputs(command: str, content: Mapping[str, Any]) -> None:
     for name in content.get("robots", ()):
         if str(name) not in config_files("robot"):
             raise UserError(f"robots: no such robot: {name!r}: {near_miss(str(name), config_files('robot'))}")
+        if "artifacts" in content:
+            _check_compared(Path(content["artifacts"]) / "comparison" / str(name))
     left_out = _check_choice(command, content, options)
     for option, check in INPUTS.items():
         value: Any = content
@@ -129,9 +131,9 @@ def _policies(named: str, robot: Robot) -> None:
         raise UserError(f"{named} holds no policy of robot {robot.name!r}: run `dvc repro` first, or swarmtwin learn")
 
 
-def _pipeline(named: str, robot: Robot | None) -> None:
-    if not any(Path(named).glob("comparison/*/table.csv")):
-        raise UserError(f"{named} holds no comparison of models: run `dvc repro` first")
+def _check_compared(folder: Path) -> None:
+    if not (folder / "table.csv").exists():
+        raise UserError(f"{folder} holds no comparison of models: run `dvc repro` first")
 
 
 def _output(named: str, robot: Robot | None) -> None:
@@ -158,7 +160,6 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "synthetic": _transitions,
     "models": _models,
     "policies": _policies,
-    "artifacts": _pipeline,
     "folder": _output,
     "recording": _recording,
     "reference": _recording,

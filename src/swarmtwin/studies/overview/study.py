@@ -15,7 +15,6 @@ from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.result import DiagnosisResult
 from swarmtwin.diagnosis.saved_diagnosis import RESULT, read_result
 from swarmtwin.dynamics.model_folder import read_description
-from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.studies.dynamics.table import model_rows, model_table
@@ -100,6 +99,9 @@ def run(options: Options) -> dict[str, Any]:
     console = Console()
     console.print(_recordings_table(chapters))
     for chapter in chapters:
+        for warning in chapter.preparation.warnings:
+            console.print(f"warning: {chapter.robot.name}: {warning}", highlight=False, soft_wrap=True)
+    for chapter in chapters:
         console.print(model_table(chapter.robot.title, chapter.models))
     for chapter in chapters:
         if chapter.cases is not None:
@@ -123,8 +125,6 @@ def run(options: Options) -> dict[str, Any]:
 
 def _chapter(artifacts: Path, robot_name: str) -> Chapter:
     comparison = artifacts / "comparison" / robot_name
-    if not (comparison / "table.csv").exists():
-        raise UserError(f"{comparison} holds no comparison of models: run `dvc repro` first")
     diagnosed = artifacts / "diagnosis" / robot_name
     policies = _table(artifacts / "transfer" / robot_name)
     names = [] if policies is None else list(policies.policy)
@@ -175,16 +175,12 @@ def _drawn_files(
 
 def _recordings_table(chapters: list[Chapter]) -> Table:
     table = Table("robot", "recorded", "transitions kept", "dropped", "train / validation / test", title="Recordings")
-    table.add_column("warnings")
     for chapter in chapters:
         counts = chapter.preparation.counts
         dropped = ", ".join(f"{reason} {number}" for reason, number in counts.dropped.items())
         splits = " / ".join(str(number) for number in chapter.preparation.transitions.values())
         vehicles = ", ".join(chapter.preparation.vehicles)
-        warnings = "; ".join(chapter.preparation.warnings) or "none"
-        table.add_row(
-            chapter.robot.name, f"vehicle {vehicles}", f"{counts.kept:,}", dropped or "none", splits, warnings or "none"
-        )
+        table.add_row(chapter.robot.name, f"vehicle {vehicles}", f"{counts.kept:,}", dropped or "none", splits)
     return table
 
 
