@@ -1,6 +1,7 @@
 """What a command is to read is looked at first: what is missing or of another kind is said before torch is imported."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -25,6 +26,7 @@ MISTAKES = [
     ("train recording=good robot.period_s=-1", "field 'robot.period_s': Input should be greater than 0"),
     ("evaluate simulation=none recording=good output=o", "no model folder none: give a folder, models:/NAME@ALIAS"),
     ("evaluate simulation=model recording=good output=o", "model is a model of robot 'mur': add robot=mur"),
+    ("evaluate simulation=pipe recording=good output=o", "pipe/model.yaml is no regular file"),
     ("evaluate simulation=models:/x recording=good output=o", "'models:/x' names no model: write models:/NAME@ALIAS"),
     ("tune recording=none", "no recording folder none"),
     ("diagnose measured=good", "give reference=DIR, a recording in which nothing is wrong, or simulation="),
@@ -44,12 +46,13 @@ MISTAKES = [
 @pytest.fixture
 def folders(workplace):
     """A recording that is whole, one without runs, a model of another robot and an empty folder."""
-    for name in ("good/runs", "without_runs", "empty", "model"):
+    for name in ("good/runs", "without_runs", "empty", "model", "pipe"):
         (workplace / name).mkdir(parents=True)
     for name in ("good", "without_runs"):
         (workplace / name / "recording.yaml").write_text(A_RECORDING)
     (workplace / "good" / "runs" / "one.csv").write_text("time_s,vehicle,left,right,x_mm,y_mm,heading_rad\n")
     (workplace / "model" / "model.yaml").write_text("format: 1\nrobot:\n  title: A robot\n  name: mur\nsituation: []\n")
+    os.mkfifo(workplace / "pipe" / "model.yaml")
     return workplace
 
 
@@ -70,7 +73,7 @@ def test_missing_inputs_are_answered_before_anything_that_computes_is_imported(f
         assert message in error, command
         assert (status, heavy) == ("2", "[]"), command
         assert float(cpu_s) < 1, command
-    assert {path.name for path in folders.iterdir()} == {"good", "without_runs", "empty", "model"}
+    assert {path.name for path in folders.iterdir()} == {"good", "without_runs", "empty", "model", "pipe"}
 
 
 def test_what_a_command_will_not_read_need_not_be_there(workplace, capfd):

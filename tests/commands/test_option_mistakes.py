@@ -24,7 +24,7 @@ from swarmtwin.commands.app import run_command
         ("output='a", "has a quotation mark without its partner"),
         ("robot=", "option 'robot' has no value: choose one of create, mgr, mur"),
         ("output=", "option 'output' has no value: write output=VALUE"),
-        ("~output", "'~output' takes an option away that is needed"),
+        ("~output", "'~output' takes away what has no value yet: give it one, output=..."),
         ("+robot=mgr", "'robot' is chosen already: write robot=..., without +"),
         ("robot=mgr,mur", "'robot=mgr,mur' names several: add -m for one run each"),
         ("output=${nothing}", "option 'output' refers to another one that cannot be found"),

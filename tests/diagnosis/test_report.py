@@ -29,6 +29,7 @@ from swarmtwin.diagnosis.report.sentences import (
     estimate_words,
     gain_words,
     odds_words,
+    remedies,
     verdict_words,
 )
 from swarmtwin.diagnosis.result import Dependence, Estimate, Gain
@@ -221,6 +222,32 @@ def test_every_cause_of_the_catalogue_has_its_sentence(robots, name):
         assert said.count("(") >= min(1, len(parameters))
         assert cause_summary(cause) in verdict_words(made_result(causes=(cause,)))
         assert "(" not in cause_summary(cause).replace("(coefficient", "").replace("(within", "")
+
+
+@pytest.mark.parametrize(
+    ("gain", "ratio", "said"),
+    [
+        (0.922, 0.85, "because the left wheel runs at 0.85 of its speed."),
+        (0.922, 1.176, "because the right wheel runs at 0.85 of its speed."),
+        (0.95, 0.85, "every actuator runs at 0.950 times its speed; and left and right differ: 0.850."),
+    ],
+)
+def test_one_weak_wheel_is_told_as_one(gain, ratio, said):
+    """Its own speed is gain · √ratio, that of the other, gain / √ratio, is as it was: 1 within the intervals."""
+    values = {"gain_change": ("gain", gain), "actuator_asymmetry": ("ratio", ratio)}
+    causes = tuple(
+        DELAY.model_copy(
+            update={
+                "name": name,
+                "parameters": {of: Estimate(value=value, low=value - 0.005, high=value + 0.005, unit="")},
+            }
+        )
+        for name, (of, value) in values.items()
+    )
+    result = made_result(causes=causes)
+    assert said in verdict_words(result)
+    named = [what for what, _ in remedies(result)]
+    assert named == ([f"{said.split()[2]} wheel"] if "wheel" in said else ["gain change", "actuator asymmetry"])
 
 
 def test_gains_may_be_losses_and_errors_nothing():

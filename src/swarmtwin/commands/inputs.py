@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field
 
 from swarmtwin.configuration import config_files
 from swarmtwin.errors import UserError, near_miss
-from swarmtwin.files import PROVENANCE, check_holds
+from swarmtwin.files import PROVENANCE, check_holds, check_regular
 from swarmtwin.recordings.reading import look_into
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.tracking.model_reference import named_folder
@@ -99,9 +99,11 @@ def _transitions(named: str, robot: Robot) -> None:
 def _model(named: str, robot: Robot, file: str = "model.yaml", holds: str = "model", made_by: str = "train") -> None:
     if folder := named_folder(named):
         check_holds(folder, file, holds, made_by)
-        robots = re.search(r"^robot:\n(?: .*\n)*?  name: (\w+)\n", (folder / file).read_text(errors="replace"), re.M)
-        if robots and robots[1] != robot.name:
-            raise UserError(f"{folder} is a {holds} of robot {robots[1]!r}: add robot={robots[1]}")
+        check_regular(folder / file)
+        text = (folder / file).read_text(errors="replace") if (folder / file).is_file() else ""
+        found = re.search(r"^robot:\n(?: .*\n)*?  name: (\w+)\n", text, re.MULTILINE)
+        if found and found[1] != robot.name:
+            raise UserError(f"{folder} is a {holds} of robot {found[1]!r}: add robot={found[1]}")
 
 
 def _policy(named: str, robot: Robot) -> None:

@@ -73,8 +73,6 @@ def _parsed(argument: str) -> Override:
 
 def _check_value(override: Override) -> None:
     name = override.get_key_element().lstrip("+~")
-    if override.is_delete() and "." not in name and not name.startswith("hydra"):
-        raise UserError(f"'~{name}' takes an option away that is needed: give it a value, {name}=...")
     if override.value() == "" and not override.is_delete():
         choices = ", ".join(sorted(config_files(name)))
         known = f": choose one of {choices}" if choices else f": write {name}=VALUE, or {name}=null for none"
@@ -109,6 +107,8 @@ def explain(error: Exception, config_name: str, arguments: Sequence[str]) -> str
         return f"option {option!r} {_shape(OmegaConf.select(_composed(config_name, arguments), option), option)}"
     if twice := re.search(r"(\S+) appears more than once in the final defaults list", text):
         return f"{twice[1]!r} is chosen already: write {twice[1]}=..., without +"
+    if absent := re.search(r"Could not delete from config\. '([^']+)'", text):
+        return f"'~{absent[1]}' takes away what has no value yet: give it one, {absent[1]}=..."
     if several := re.search(r"Ambiguous value for argument '([^=]+)=(.*)'", text):
         return f"'{several[1]}={several[2]}' names several: add -m for one run each, or write [{several[2]}] for a list"
     return " ".join(text.split())

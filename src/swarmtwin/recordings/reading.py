@@ -45,6 +45,7 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
     """
     folder = Path(folder)
     header, files = look_into(folder, robot)
+    _log_others(folder / RUNS_FOLDER)
     tracks: list[Track] = []
     in_degrees: list[Track] = []
     beyond_a_turn = False
@@ -131,7 +132,7 @@ def _check_header(file: Path, header: Header, robot: Robot) -> None:
 
 
 def _run_files(folder: Path) -> list[Path]:
-    """List the files of the runs in order of name; a file of another kind is told and left alone."""
+    """List the files of the runs in order of name, without those of another kind."""
     runs = folder / RUNS_FOLDER
     if not runs.is_dir():
         raise UserError(f"{runs} is missing: put one file a run there, {' or '.join(RUN_SUFFIXES)}")
@@ -141,11 +142,15 @@ def _run_files(folder: Path) -> list[Path]:
     if not files:
         there = f", only {', '.join(others[:5])}" if others else ""
         raise UserError(f"{runs} holds no run{there}: put one file a run there, {' or '.join(RUN_SUFFIXES)}")
-    if others:
-        logger.warning("%s: %s left unread, no %s", runs, ", ".join(others[:5]), " or ".join(RUN_SUFFIXES))
     if repeated := [stem for stem, count in Counter(file.stem for file in files).items() if count > 1]:
         raise fault(runs, f"run {repeated[0]!r} stands there twice, as CSV and as Parquet", "remove one of them")
     return sorted(files, key=lambda file: file.stem)
+
+
+def _log_others(runs: Path) -> None:
+    others = sorted(entry.name for entry in runs.iterdir() if not entry.name.startswith(".") and not _is_run(entry))
+    if others:
+        logger.warning("%s: %s left unread, no %s", runs, ", ".join(others[:5]), " or ".join(RUN_SUFFIXES))
 
 
 def _is_run(entry: Path) -> bool:

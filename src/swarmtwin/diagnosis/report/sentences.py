@@ -25,6 +25,7 @@ SHAPES = {
     "spread": "Errors scatter {} than the ordinary noise.",
     "tails": "Large errors are {} common than they were.",
 }
+ONE_WHEEL = ("gain_change", "actuator_asymmetry")  # causes that one weak wheel is told as
 QUESTIONS = PARTS | {"spread": "how errors scatter", "tails": "how common large errors are"}
 COMPONENTS = {
     "forward": "how much further forward it goes than simulated",
@@ -66,14 +67,37 @@ def cause_title(name: str) -> str:
     return name.replace("_", " ")
 
 
-def remedy(cause: Cause) -> str:
-    """Return what to repair or check."""
-    return mechanism_class(cause.name).remedy
+def remedies(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
+    """Return what to repair or check, each with the cause that it is for."""
+    weak = _weak_wheel(diagnosis.causes)
+    others = [cause for cause in diagnosis.causes if not weak or cause.name not in ONE_WHEEL]
+    told = [(cause_title(cause.name), mechanism_class(cause.name).remedy) for cause in others]
+    return [(f"{weak[0]} wheel", "check its motor, gear and tyre"), *told] if weak else told
+
+
+def _weak_wheel(causes: Sequence[Cause]) -> tuple[str, float] | None:
+    """Return the side and the speed of one wheel where two causes together say that the other one is as it was."""
+    parameters = {cause.name: cause.parameters for cause in causes}
+    if not set(ONE_WHEEL) <= parameters.keys() or "ratio" not in parameters["actuator_asymmetry"]:
+        return None
+    gain, ratio = parameters["gain_change"]["gain"], parameters["actuator_asymmetry"]["ratio"]
+    spread = math.hypot(_relative(gain), _relative(ratio) / 2)
+    for side, power in (("left", 0.5), ("right", -0.5)):
+        if abs(math.log(gain.value * ratio.value**-power)) <= spread:
+            return side, gain.value * ratio.value**power
+    return None
+
+
+def _relative(estimate: Estimate) -> float:
+    return (estimate.high - estimate.low) / 2 / estimate.value
 
 
 def verdict_words(diagnosis: DiagnosisResult) -> str:
     """Return the verdict in one plain sentence."""
-    causes = enumeration([cause_summary(cause) for cause in diagnosis.causes], "; ", "; and ")
+    weak = _weak_wheel(diagnosis.causes)
+    told = [f"the {weak[0]} wheel runs at {weak[1]:.2f} of its speed"] if weak else []
+    told += [cause_summary(cause) for cause in diagnosis.causes if not weak or cause.name not in ONE_WHEEL]
+    causes = enumeration(told, "; ", "; and ")
     if diagnosis.verdict == "no_gap":
         return "Nothing is wrong: the simulation does what the robot did, within the ordinary noise."
     if diagnosis.not_confirmed:
