@@ -19,6 +19,7 @@ def test_what_a_death_may_leave_in_a_store_is_seen(workplace):
     (model / "model.yaml").write_text("a model")
     with tracked_run("dynamics", "mine", {}) as run:
         version = registry.register("mgr-dynamics", model, run.folder(model, "model"), run.run_id, {})
+        registry.challenge(version, lambda challenger: (True, "newer"))
         assert still_running(workplace) == ["mine"]
     assert still_running(workplace) == []
     assert registered(workplace) == {"mgr-dynamics@challenger": folder_digest(model)}

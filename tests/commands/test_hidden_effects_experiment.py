@@ -53,7 +53,7 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
     ("options", "message"),
     [
         (["robots=[create]"], "robot 'create' has no stand-in"),
-        (["robots=[mrg]"], "no robot file"),
+        (["robots=[mrg]"], "robots: no such robot"),
         (["cases=[singles]"], "cases: no such kind: 'singles': did you mean 'single'?"),
         (["count.pair=0"], "options: field 'count.pair'"),
     ],

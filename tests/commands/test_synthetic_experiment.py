@@ -76,5 +76,5 @@ def test_cases_are_known_by_name(robots):
 def test_without_transitions_the_remedy_is_named(swarmtwin, workshop):
     answer = swarmtwin(*EXPERIMENT, "output=out")
     assert answer.status == 2
-    assert "no transitions in prepared: run `dvc repro` first, or give transitions=..." in answer.error
+    assert "prepared/preparation.json is missing: name a folder that swarmtwin prepare made" in answer.error
     assert not (workshop / "out").exists()

@@ -30,7 +30,9 @@ def register(folder, kind):
     """Register a model as its command would; return the version."""
     with tracked_run(kind, "a test", {}) as run:
         kept = run.model(folder, kind)
-    return registry.register(f"mgr-{kind}", folder, kept, run.run_id, {})
+    version = registry.register(f"mgr-{kind}", folder, kept, run.run_id, {})
+    registry.challenge(version, lambda challenger: (True, "newer"))
+    return version
 
 
 @pytest.fixture(scope="module")

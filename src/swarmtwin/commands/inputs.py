@@ -69,7 +69,7 @@ def _check_choice(command: str, content: Mapping[str, Any], options: EarlyOption
     if command == "promote":
         registered = str(content["candidate"]).isdigit() or content["candidate"] == "challenger"
         unread = {"candidate": registered or content["rollback"]}
-        unread["recording"] = content["rollback"] or content["what"] != "dynamics"
+        unread["recording"] = unread["baseline"] = content["rollback"] or content["what"] != "dynamics"
         return {name for name, left_out in unread.items() if left_out}
     if command == "diagnose" and content["reference"] is None and content["simulation"] is None:
         raise UserError("give reference=DIR, a recording in which nothing is wrong, or simulation=FOLDER|models:/...")
@@ -79,7 +79,11 @@ def _check_choice(command: str, content: Mapping[str, Any], options: EarlyOption
             raise UserError(f"no simulation in {folder}: run `dvc repro` first, or give simulation=...")
     if command == "generate" and not content["from"] and options.robot is None:
         raise UserError("say of which robot: robot=..., or give a generator's folder: from=...")
-    if {"transitions", "recording"} <= content.keys() and not content.get("from"):
+    if command == "rollout" and "simulation" not in content["on"]:
+        return {"simulation"}
+    if content.get("from"):
+        return {"transitions", "recording"}  # which is a mistake that the command explains
+    if {"transitions", "recording"} <= content.keys():
         transitions, recording = (content[name] and Path(content[name]) for name in ("transitions", "recording"))
         training_folder(options.robot, transitions, recording, options.vehicles)
     return set()
@@ -160,6 +164,7 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "candidate": _candidate,
     "transitions": _transitions,
     "synthetic": _transitions,
+    "baseline": _transitions,
     "models": _models,
     "policies": _policies,
     "folder": _output,
