@@ -31,7 +31,6 @@ setup: .venv/installed
 PROMOTE := $(BIN)/swarmtwin promote
 run: setup  # the robots' pipelines side by side; a refused promotion (exit status 3) is an answer, not a failure
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/dvc repro --quiet code
 	-$(MAKE) --no-print-directory --jobs=2 pipeline@mgr pipeline@mur
 	$(BIN)/dvc repro
 	$(PROMOTE) robot=mgr candidate=artifacts/comparison/mgr/best || [ $$? = 3 ]

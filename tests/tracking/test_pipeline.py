@@ -18,6 +18,7 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
+from preloaded import preloaded_program
 from swarmtwin.commands.app import run_command
 from swarmtwin.standin.physics import Physics
 from swarmtwin.tracking.pipeline import DRAWING, Pipeline, with_dependencies
@@ -179,7 +180,8 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
 @every_stage
 def test_what_a_stage_hangs_on_of_the_code_exists(stage):
     source = REPOSITORY / "src" / "swarmtwin"
-    code = [Path(path).relative_to("artifacts/code") for path in stage.deps if path.startswith("artifacts/code/")]
+    kept = Path("artifacts/code") / stage.items["robot"]
+    code = [Path(path).relative_to(kept) for path in stage.deps if Path(path).is_relative_to(kept)]
     assert code
     assert not [path for path in code if not (source / path).exists()]
     assert not [path for path in stage.deps if path.startswith("src/")]
@@ -207,11 +209,6 @@ def repository(tmp_path_factory):
         change(folder / "conf" / "model" / f"{model}.yaml", steps=20)
     change(folder / "conf" / "generator" / "residual_diffusion.yaml", members=2, mean_model_steps=20, noise_steps=20)
     change(folder / "conf" / "pipeline.yaml", models=["kinematic", "mlp"], synthetic_transitions=400)
-    program = folder / ".venv" / "bin" / "swarmtwin"
-    program.parent.mkdir(parents=True)
-    program.write_text(f'#!/bin/sh\nPYTHONPATH={folder}/src exec {sys.executable} -m swarmtwin_here "$@"\n')
-    program.chmod(0o755)
-    (folder / "src" / "swarmtwin_here.py").write_text("from swarmtwin.commands import main\nmain()\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Physics, "bank_rows", 2048)
         for robot, (number, recording) in itertools.product(
@@ -224,8 +221,10 @@ def repository(tmp_path_factory):
     dvc(folder, "init", "--quiet")
     shutil.copy(REPOSITORY / ".dvcignore", folder)
     (folder / ".gitignore").write_text("/.venv/\n/mlflow.db*\n/mlruns/\n*.partial\n__pycache__/\n")
-    dvc(folder, "repro", "--quiet", *DRAWN)
-    return folder
+    (folder / ".venv" / "bin").mkdir(parents=True)
+    with preloaded_program(folder / ".venv" / "bin" / "swarmtwin", folder / "src"):
+        dvc(folder, "repro", "--quiet", *DRAWN)
+        yield folder
 
 
 def change(file, **values):
@@ -254,7 +253,7 @@ def reran(folder, *targets):
 
 def stale(folder, *targets):
     """Return the names of the stages, among those that lead to targets, whose code, data or parameters have changed."""
-    dvc(folder, "repro", "code")
+    dvc(folder, "repro", "code@mgr")
     changed = json.loads(dvc(folder, "status", "--json", "--with-deps", *targets))
     return {name for name, reasons in changed.items() if any("changed deps" in reason for reason in reasons)}
 
@@ -290,7 +289,7 @@ def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
 def test_a_sentence_or_another_layout_makes_nothing_stale(repository):
     file = repository / "src" / "swarmtwin" / "geometry.py"
     file.write_text(f"# A sentence.\n{file.read_text().replace('def compose(', 'def  compose(  ')}\n# and another\n")
-    assert reran(repository, *DRAWN) == {"code"}
+    assert reran(repository, *DRAWN) == {"code@mgr"}
 
 
 def test_a_line_in_a_plot_draws_anew_and_computes_nothing(repository):

@@ -2,7 +2,8 @@
 
 `make dependencies` (`python -m swarmtwin.tracking.pipeline`) writes the `artifacts/code/...` lines of every stage's
 `deps:`; a test compares. They stand for the files in `src/swarmtwin/`, of which the stage `code` writes what they do
-(`bare_code.py`): it hangs on all of them and the others on it, so that `dvc repro` always looks at the code first.
+(`bare_code.py`): it hangs on all of them and the others on it, so that `dvc repro` always looks at the code first. Each
+robot has its own, as DVC refuses to look after what another process's stage is reading.
 Folders of data and artifacts, and parameters, stand in `dvc.yaml` as they are written there by hand.
 The module is in `tracking/` because it answers the question of that room, what a result came from; it reads the other
 rooms as text and imports none of them.
@@ -116,7 +117,7 @@ class Pipeline:
         spelled = {file: self._spelled(file, stages) for file in files}
         whole = {file for file, text in spelled.items() if text == str(file)}
         paths = {*spelled.values()} - set(map(str, whole)) | set(map(str, self._folders(whole)))
-        return sorted(path.replace("src/swarmtwin/", "artifacts/code/", 1) for path in paths)
+        return sorted(path.replace("src/swarmtwin/", "artifacts/code/${item.robot}/", 1) for path in paths)
 
     def _spelled(self, file: Path, stages: Sequence[Stage]) -> str:
         """Return how the name of a file follows from the items of those stages that hang on it; else its name."""
