@@ -104,12 +104,13 @@ UNCHANGED = gained(2.0, 0.0, 0.0)
     [
         (BETTER, NEITHER, NEITHER, WORSE, None),
         (BETTER, UNCHANGED, NEITHER, WORSE, None),
+        (NEITHER, BETTER, NEITHER, WORSE, None),
         (
+            NEITHER,
             NEITHER,
             BETTER,
             BETTER,
-            BETTER,
-            "the position is not measurably better (2.00 → 1.90 mm, 95 %: -0.10 to 0.30 ",
+            "neither position nor orientation is measurably better (2.00 → 1.90 mm, 95 %: ",
         ),
         (
             BETTER,
@@ -118,13 +119,14 @@ UNCHANGED = gained(2.0, 0.0, 0.0)
             BETTER,
             "the orientation is measurably worse (2.00 → 2.40 °, 95 %: -0.50 to -0.30 less)",
         ),
+        (WORSE, BETTER, NEITHER, BETTER, "the position is measurably worse (2.00 → 2.40 mm"),
         (BETTER, BETTER, WORSE, BETTER, "the open loop is measurably worse (2.00 → 2.40 mm"),
         (
             WORSE,
             WORSE,
             WORSE,
             BETTER,
-            "the position is not measurably better (2.00 → 2.40 mm, 95 %: -0.50 to -0.30 less) ",
+            "neither position nor orientation is measurably better (2.00 → 2.40 mm, 95 %: -0.50 to -0.30 less",
         ),
         (UNCHANGED, UNCHANGED, UNCHANGED, BETTER, None),
         (UNCHANGED, UNCHANGED, UNCHANGED, NEITHER, "they are not measurably more likely with it"),

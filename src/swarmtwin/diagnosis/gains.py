@@ -89,21 +89,23 @@ def likelihood_gain(unfitted: LikelihoodModel, extended: Simulation, draws: int,
 def not_confirmed(gain: Gains, likelihood: Gain) -> str | None:
     """Say why held-out runs do not confirm an extension; None where they do.
 
-    They do if the position after one period is measurably better, the whole 95 % interval of its gain above zero, and
-    neither orientation nor open loop is measurably worse. Where the likeliest motion stays as it was, as with commands
-    that are lost now and then, no error can fall, and the held-out runs must be measurably more likely instead.
+    They do if position or orientation after one period is measurably better, the whole 95 % interval of its gain above
+    zero, and neither of them nor open loop is measurably worse. Where the likeliest motion stays as it was, as with
+    commands that are lost now and then, no error can fall, and the held-out runs must be measurably more likely instead.
 
     Args:
         gain: of the extension.
         likelihood: likewise, of the negative log-likelihood.
     """
-    position, orientation, open_loop = gain.position_mm, gain.orientation_deg, gain.open_loop_mm
-    if all(one.before == one.after for one in (position, orientation, open_loop)):
+    one_step = {"position": (gain.position_mm, "mm"), "orientation": (gain.orientation_deg, "°")}
+    all_errors = {**one_step, "open loop": (gain.open_loop_mm, "mm")}
+    if all(one.before == one.after for one, _ in all_errors.values()):
         return None if likelihood.low > 0 else "they are not measurably more likely with it"
     faults = []
-    if position.low <= 0:
-        faults.append(f"the position is not measurably better ({_told(position, 'mm')})")
-    for name, one, unit in (("orientation", orientation, "°"), ("open loop", open_loop, "mm")):
+    if not any(one.low > 0 for one, _ in one_step.values()):
+        figures = ", ".join(_told(one, unit) for one, unit in one_step.values())
+        faults.append(f"neither position nor orientation is measurably better ({figures})")
+    for name, (one, unit) in all_errors.items():
         if one.high < 0 and one.after > one.before:
             faults.append(f"the {name} is measurably worse ({_told(one, unit)})")
     return " and ".join(faults) or None
