@@ -91,7 +91,7 @@ def not_confirmed(gain: Gains, likelihood: Gain) -> str | None:
 
     They do if position or orientation after one period is measurably better, the whole 95 % interval of its gain above
     zero, and neither of them nor open loop is measurably worse. Where the likeliest motion stays as it was, as with
-    commands that are lost now and then, no error can fall, and the held-out runs must be measurably more likely instead.
+    commands that are lost now and then, no error can fall: the held-out runs must be measurably more likely instead.
 
     Args:
         gain: of the extension.
