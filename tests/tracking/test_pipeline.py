@@ -328,7 +328,7 @@ def test_queued_experiments_compute_with_their_own_parameters(repository):
     deadline = time.monotonic() + 240
     while "Running" in (status := dvc(repository, "queue", "status")) or "Queued" in status:
         assert time.monotonic() < deadline, status
-        time.sleep(2)
+        time.sleep(5)
     assert status.count("Success") == len(steps), status
     for count in steps:
         described = yaml.safe_load(output_of(repository, f"s{count}", name, "model.yaml"))
