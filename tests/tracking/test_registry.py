@@ -132,13 +132,14 @@ def test_policies_of_different_tasks_have_champions_challengers_and_histories_of
     assert registry.roll_back(POLICIES, "obstacle") == (4, 2)
 
 
-def test_the_champion_of_another_task_is_refused_with_the_right_reference(publish):
+def test_the_champion_of_a_task_is_found_and_that_of_another_refused_with_the_right_reference(publish):
     for text, task in (("c", "collective"), ("o", "obstacle")):
         registry.promote(publish(text, POLICIES, task=task), "good", None)
     plain = f"models:/{POLICIES}@champion"
     assert registry.find_version(plain, "collective").number == 1
+    assert registry.find_version(plain, "obstacle").number == 2
     with pytest.raises(UserError, match=r"write models:/mgr-policy@champion-obstacle$"):
-        registry.model_folder(plain, "obstacle")
+        registry.model_folder(f"models:/{POLICIES}/1", "obstacle")
     with pytest.raises(UserError, match=r"write models:/mgr-policy@champion$"):
         registry.model_folder(f"{plain}-obstacle", "collective")
     with pytest.raises(UserError, match=r"not for 'pair': no policy for 'pair' is champion yet$"):

@@ -4,7 +4,7 @@ Every model is registered as a version; `challenger` is the one that is measurab
 or cannot be compared with it, `champion` the one that passed the gate. Policies of different tasks have champions,
 challengers and histories of their own: the plain aliases belong to the task that had one first, those of any other task
 are called after it, `champion-obstacle`. So `models:/mgr-policy@champion` stays the name of one task's policy, whatever
-else is learned later, and whoever says which task is meant is refused that of another.
+else is learned later; whoever says which task is meant is given that task's champion, and never the policy of another.
 """
 
 import json
@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast, get_args
 
 import mlflow
 from mlflow.exceptions import MlflowException
@@ -172,7 +172,7 @@ def find_version(reference: str, task: str | None = None) -> Version:
     """Return the version that `models:/NAME@ALIAS` or `models:/NAME/VERSION` names.
 
     Args:
-        reference: to a registered model.
+        reference: to a registered model; `champion` and `challenger` are those of the task, if one is given.
         task: what it must be for; None: whatever it is for.
 
     Raises:
@@ -184,6 +184,8 @@ def find_version(reference: str, task: str | None = None) -> Version:
         with store_errors():
             names = ", ".join(_names(mlflow.MlflowClient())) or "none yet: train one first"
         raise UserError(f"no registered model {wanted.name!r}; registered: {names}")
+    if task is not None and wanted.alias in get_args(Role) and (own := _holder(known, cast(Role, wanted.alias), task)):
+        return own
     for version in known:
         if wanted.alias in version.aliases or version.number == wanted.version:
             check_task(version, task)
