@@ -87,7 +87,7 @@ def test_a_policy_for_another_task_gets_a_champion_of_its_own(promote, swarmtwin
     answer = promote("challenger", "task=collective")
     assert (answer.status, answer.shown) == (0, f"{first} is the champion already\n")
     answer = promote(f"models:/{NAME}@champion", "task=gathering")
-    assert (answer.status, answer.shown) == (0, f"{NAME} version 2 is the champion already\n")
+    assert (answer.status, answer.shown, answer.error) == (0, f"{NAME} version 2 is the champion already\n", "")
     answer = swarmtwin("rollout", f"policy=models:/{NAME}/1", "task=gathering", "output=out")
     assert answer.status == 2
     assert answer.error.endswith(f"not for 'gathering': write models:/{NAME}@champion-gathering\n")
