@@ -35,6 +35,7 @@ from swarmtwin import commands
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.files import folder_digest
 from swarmtwin.standin.physics import Physics
+from swarmtwin.tracking.models import model_data
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BIN = Path(sys.executable).parent
@@ -58,7 +59,7 @@ CALLS: dict[str, tuple[str, ...]] = {
     "diagnose": ("robot=mgr", "reference=reference", "measured=measured", "output=out"),
     "learn": ("simulation=models/mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "seeds=1", "output=out"),
     "rollout": ("policy=policy", "count=10", "video=false", "output=out"),
-    "promote": ("robot=mgr", "candidate=models/mlp", "recording=measured"),
+    "promote": ("robot=mgr", "candidate=models/mlp", "recording=measured", "baseline=worn"),
     "experiment": (
         *("name=dynamics", "robot=mgr", "models=models", "train_vehicle=reference", "other_vehicle=measured"),
         *("open_loop=measured", "output=out"),
@@ -211,7 +212,7 @@ def registered(project: Path) -> dict[str, str]:
     )
     for cursor in databases(project):
         for name, alias, source in cursor.execute(query):
-            folder = Path((source or "").removeprefix("file://"))
+            folder = model_data(Path((source or "").removeprefix("file://")))
             found[f"{name}@{alias}"] = folder_digest(folder) if source and folder.is_dir() else "nothing"
     return found
 
@@ -225,7 +226,7 @@ def half_versions(project: Path) -> list[str]:
     wrong = []
     for cursor in databases(project):
         for name, version, source, digest in cursor.execute(query):
-            folder = Path(source.removeprefix("file://"))
+            folder = model_data(Path(source.removeprefix("file://")))
             if not folder.is_dir() or folder_digest(folder) != digest:
                 wrong.append(f"{name} version {version}")
     return wrong
@@ -261,6 +262,8 @@ class Campaign:
         recording = ("robot=mgr", "vehicle=1", "runs=30", "steps=30")
         self._must("record", *recording, "seed=1", "output=reference")
         self._must("record", *recording, "seed=2", "effects=[{name: gain_change, gain: 0.8}]", "output=measured")
+        self._must("record", *recording, "seed=3", "effects=[{name: gain_change, gain: 0.4}]", "output=worn_recording")
+        self._must("prepare", "robot=mgr", "recording=worn_recording", "output=worn")
         training = ("robot=mgr", "recording=reference", "model.steps=120", "recipe.batch_size=64", "seeds=1")
         for model in ("kinematic", "mlp"):
             self._must("train", *training, f"model={model}", "register=false", f"output=models/{model}")
