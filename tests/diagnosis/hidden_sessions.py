@@ -9,7 +9,7 @@ from swarmtwin.studies.hidden_effects.sessions import HiddenSession, measure, re
 
 SEED = 20261122
 """Of all that is drawn: the day it was chosen, before any result was seen."""
-PLAN = Plan(seed=SEED, runs=60, steps=40, references=1)
+PLAN = Plan(seed=SEED, runs=45, steps=40, references=1)
 
 
 def learned(robot: Robot) -> Reference:

@@ -45,8 +45,8 @@ def _check(file: Path) -> None:
         raise UserError(f"{file} is not valid YAML ({' '.join(str(error).split())}): correct it") from None
     if re.search(r"^\s*#\s*@package", text, re.MULTILINE):
         raise UserError(f"{file}: '# @package' moves it to another place in the configuration: take the line out")
-    if isinstance(content, dict) and not isinstance(content.get("defaults", []), list):
-        raise UserError(f"{file}: 'defaults' is no list: take it out, or write one")
+    if isinstance(content, dict) and not _names_files(content.get("defaults", [])):
+        raise UserError(f"{file}: 'defaults' is no list of other files' names: take it out, or write one")
     for key, value in _walk(content):
         if str(key).startswith("_") or "hydra" in str(key):
             raise UserError(f"{file}: {key!r} would choose code or settings of Hydra's: take it out")
@@ -54,6 +54,19 @@ def _check(file: Path) -> None:
             raise UserError(f"{file}: {value!r} would choose settings of Hydra's: take it out")
         if isinstance(value, str) and "${" in value:
             raise UserError(f"{file}: {value!r} refers to what is not in the file: write the value out")
+
+
+def _names_files(defaults: Any) -> bool:
+    """Say whether it is a list as Hydra reads it: of names, and of groups, each with a name, with several or with none."""
+    return isinstance(defaults, list) and all(isinstance(entry, str) or _is_choice(entry) for entry in defaults)
+
+
+def _is_choice(entry: Any) -> bool:
+    if not isinstance(entry, dict) or len(entry) != 1:
+        return False
+    ((group, names),) = entry.items()
+    words = names if isinstance(names, list) else [] if names is None else [names]
+    return isinstance(group, str) and all(isinstance(word, str) for word in words)
 
 
 def _walk(content: Any, key: Any = "") -> Iterator[tuple[Any, Any]]:
