@@ -296,7 +296,10 @@ class Campaign:
         program.parent.mkdir(parents=True)
         source = f"{self.project}/repository/src"
         program.write_text(f'#!/bin/sh\nPYTHONPATH={source} exec {sys.executable} -m swarmtwin_here "$@"\n')
-        program.chmod(0o755)
+        python = program.with_name("python")
+        python.write_text(f'#!/bin/sh\nPYTHONPATH={source} exec {sys.executable} "$@"\n')
+        for executable in (program, python):
+            executable.chmod(0o755)
         (repository / "src" / "swarmtwin_here.py").write_text("from swarmtwin.commands import main\nmain()\n")
         shutil.copy(REPOSITORY / ".gitignore", repository)
         for command in (["git", "init", "--quiet"], [sys.executable, "-m", "dvc", "init", "--quiet"]):

@@ -51,7 +51,10 @@ def own(workplace):
         (ROBOT + "defaults: [{a: [1]}]\n", "'defaults' is no list of other files' names"),
         (ROBOT + "period_s: 0.4\n", "is not valid YAML ('period_s' stands twice"),
     ],
-    ids=["package", "hydra", "target", "defaults", "interpolation", "depth", "damage", "no list", "twice"],
+    ids=[
+        *("package", "hydra", "target", "defaults", "interpolation", "depth", "damage", "no list"),
+        *("a number", "no group", "no choice", "twice"),
+    ],
 )
 def test_a_robot_from_outside_chooses_nothing_but_a_robot(own, workplace, capfd, text, message):
     own.write_text(text)

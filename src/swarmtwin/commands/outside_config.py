@@ -57,7 +57,7 @@ def _check(file: Path) -> None:
 
 
 def _names_files(defaults: Any) -> bool:
-    """Say whether it is a list as Hydra reads it: of names, and of groups, each with a name, with several or with none."""
+    """Say whether it is a list as Hydra reads it: of names, and of groups with a name, with several or with none."""
     return isinstance(defaults, list) and all(isinstance(entry, str) or _is_choice(entry) for entry in defaults)
 
 
