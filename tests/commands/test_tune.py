@@ -148,6 +148,22 @@ def test_the_same_seed_searches_the_same_values(swarmtwin, workshop):
     assert [(trial.params, trial.value) for trial in found[0]] == [(trial.params, trial.value) for trial in found[1]]
 
 
+def test_what_a_kill_left_unfinished_is_drawn_again(swarmtwin, workshop):
+    for name, calls in (("whole", 1), ("killed", 2)):
+        for call in range(1, calls + 1):
+            trials = f"trials={3 if call == calls else 1}"
+            assert swarmtwin(*SEARCH, "workers=1", trials, f"storage={name}.journal", "study=same").status == 0
+            if call < calls:
+                storage = optuna.storages.JournalStorage(JournalFileBackend(str(workshop / f"{name}.journal")))
+                optuna.load_study(study_name="same", storage=storage).ask()
+    found = []
+    for name in ("whole", "killed"):
+        storage = optuna.storages.JournalStorage(JournalFileBackend(str(workshop / f"{name}.journal")))
+        ended = optuna.load_study(study_name="same", storage=storage).get_trials(states=[TrialState.COMPLETE])
+        found.append([(trial.params, trial.value) for trial in ended])
+    assert found[0] == found[1]
+
+
 def test_a_study_that_is_complete_trains_nothing_more(swarmtwin, workshop):
     for _ in range(2):
         assert swarmtwin(*SEARCH, "workers=1", "trials=2").status == 0

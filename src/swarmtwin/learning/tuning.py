@@ -57,11 +57,8 @@ class SharedStudy:
         """The storage as a person may see it, without a database's password."""
         return re.sub(r"(://[^:/@]*):[^@/]*@", r"\1:***@", self.storage)
 
-    def open(self, sampler: optuna.samplers.BaseSampler | None = None) -> optuna.Study:
+    def open(self) -> optuna.Study:
         """Open the study, made on the way if there is none.
-
-        Args:
-            sampler: draws the values of its trials.
 
         Raises:
             UserError: the storage cannot be opened, or the study was made for something else.
@@ -71,7 +68,6 @@ class SharedStudy:
             study = optuna.create_study(
                 storage=self._storage(),
                 study_name=self.name,
-                sampler=sampler,
                 direction="minimize",
                 load_if_exists=True,
             )

@@ -79,11 +79,11 @@ class HyperparameterSearch(StrictModel):
         prefix = f"{self.robot.name}-{self.model['name']}"
         shared = SharedStudy.named(name, prefix, storage, self._made_for(transitions.robot, preparation))
         study = shared.open()
-        done, begun = trials_done(study), len(study.get_trials(deepcopy=False))
+        done = trials_done(study)
         logger.info("study %s in %s: %d trials there, %d asked for", shared.name, shared.place, done, trials)
         shares = [len(range(number, trials - done, workers)) for number in range(workers)]
         jobs = [
-            _Worker(self, shared, whole_numbers, share, begun, number, alone=workers == 1)
+            _Worker(self, shared, whole_numbers, share, number, alone=workers == 1)
             for number, share in enumerate(shares)
             if share
         ]
@@ -152,7 +152,6 @@ class _Worker:
         shared: the study that all workers add to.
         whole_numbers: the options that take whole numbers alone.
         trials: how many it adds.
-        begun: how many trials the study held before: with `number`, it makes the sampler's random numbers its own.
         number: of the worker.
         alone: whether no other worker adds trials meanwhile.
     """
@@ -161,23 +160,23 @@ class _Worker:
     shared: SharedStudy
     whole_numbers: frozenset[str]
     trials: int
-    begun: int
     number: int
     alone: bool
 
-    @property
-    def seed(self) -> int:
-        """The sampler's seed."""
-        return int(np.random.SeedSequence([self.search.seed, self.begun, self.number]).generate_state(1)[0])
+    def _sampler(self, study: optuna.Study) -> optuna.samplers.BaseSampler:
+        """Return what draws the next trial: the same one again, where a kill has left the last unfinished."""
+        drawn = np.random.SeedSequence([self.search.seed, trials_done(study), self.number])
+        return optuna.samplers.TPESampler(seed=int(drawn.generate_state(1)[0]), constant_liar=not self.alone)
 
     def run(self, report: Report | None) -> None:
         """Add the trials to the study; one that fails is told in a line and counts as failed."""
         transitions, _, source = self.search.data()
         inputs = split_inputs(source, transitions, ("train", "validation"))
-        study = self.shared.open(optuna.samplers.TPESampler(seed=self.seed, constant_liar=not self.alone))
+        study = self.shared.open()
         pruner = optuna.pruners.MedianPruner(n_startup_trials=10, n_warmup_steps=1)
         study.pruner = pruner if self.search.prune else optuna.pruners.NopPruner()
         for _ in range(self.trials):
+            study.sampler = self._sampler(study)
             trial = study.ask()
             try:
                 loss = self._loss(trial, transitions, inputs)
