@@ -91,3 +91,13 @@ def test_a_digest_covers_names_and_content_of_all_files(tmp_path):
     assert files_digest(tmp_path) != first == files_digest(tmp_path, leave_out=["note"])
     (tmp_path / "inside" / "one").rename(tmp_path / "inside" / "two")
     assert files_digest(tmp_path, leave_out=["note"]) != first
+
+
+@pytest.mark.parametrize(
+    "content", [b"- a list", b"stages: null", b"stages: {x: {outs: [{md5: abc}]}}", b"\xff\xfe", b"a: [b"]
+)
+def test_a_lock_that_dvc_did_not_write_is_told_and_gives_no_hash(tmp_path, caplog, content):
+    (tmp_path / ".dvc").mkdir()
+    (tmp_path / "dvc.lock").write_bytes(content)
+    assert dvc_hashes([tmp_path / "data"]) == {}
+    assert "dvc.lock is not as DVC writes it" in caplog.text

@@ -117,17 +117,18 @@ def _hash_in_list(files: list[dict[str, str]], name: str) -> str | None:
 
 
 def _tracked_outputs(repository: Path) -> Iterator[tuple[Path, str]]:
-    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # a lock has thousands of lines
+    safe_loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # a lock has thousands of lines
     for file in (*repository.glob("*.dvc"), repository / "dvc.lock"):
         if not file.is_file():
             continue
         try:
-            content = yaml.load(file.read_text(), loader) or {}
-        except yaml.YAMLError:
-            logger.warning("%s is not valid YAML: the hashes in it are not recorded", file)
+            content = yaml.load(file.read_text(), Loader=safe_loader) or {}
+            entries = (content, *content.get("stages", {}).values())
+            found = [output for entry in entries for output in _outputs(entry, repository)]
+        except (yaml.YAMLError, UnicodeDecodeError, AttributeError, KeyError, TypeError):
+            logger.warning("%s is not as DVC writes it: the hashes in it are not recorded", file)
             continue
-        for entry in (content, *content.get("stages", {}).values()):
-            yield from _outputs(entry, repository)
+        yield from found
 
 
 def _outputs(entry: Mapping[str, Any], repository: Path) -> Iterator[tuple[Path, str]]:
