@@ -6,7 +6,7 @@ from typing import Any
 from rich.console import Console
 
 from swarmtwin.dynamics.model_folder import read_description
-from swarmtwin.files import check_output, folder_digest, new_folder
+from swarmtwin.files import check_output, new_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.evaluation import Measured, load_simulation, measure
@@ -46,7 +46,8 @@ def run(options: Options) -> dict[str, Any]:
     kind = read_description(simulation).model["name"]
     recording = read_vehicles(options.recording, options.robot, options.vehicles)
     name = f"{options.robot.name}-{kind} on {options.recording.name}"
-    given = [recording_input(options.recording, "measured", recording), model_input(simulation, "simulation")]
+    used = model_input(simulation, "simulation")
+    given = [recording_input(options.recording, "measured", recording), used]
     with (
         new_folder(options.output, "evaluate", settings, options.overwrite, inputs=inputs) as folder,
         tracked_run("dynamics", f"evaluate {name}", settings, given) as tracked,
@@ -58,7 +59,7 @@ def run(options: Options) -> dict[str, Any]:
         figures = measurement.overall.tracked()
         tracked.metrics(figures)
         tracked.warnings(recording.warnings)
-        tracked.tag("simulation.digest", folder_digest(simulation))
+        tracked.tag("simulation.digest", used.digest)
         tracked.folder(folder, "evaluation")
     Console().print(measurement_table(name, measurement))
     Console().print(f"figures and pictures: {options.output}", highlight=False, soft_wrap=True)
