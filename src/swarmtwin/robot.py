@@ -152,6 +152,11 @@ class Robot(StrictModel):
             raise UserError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
         return cls.parse(content, str(path))
 
+    @property
+    def without_hardware(self) -> "Robot":
+        """The robot as models know it: how it is spoken to and seen left out."""
+        return self.model_copy(update={"link": None, "marker": None})
+
     def kinematic_equations(self) -> KinematicEquations:
         """Return the equations that its kinematics names."""
         return KINEMATICS.plugin_class(self.kinematics)()
