@@ -47,7 +47,7 @@ def _check_pair(real: Preparation, synthetic: Preparation) -> None:
         raise UserError(f"transitions=... to be mixed with synthetic ones are {real.origin}, and should be real")
     if synthetic.origin != "synthetic":
         raise UserError(f"synthetic=... names {synthetic.origin} transitions: name a folder that generate made")
-    if real.robot.without_hardware != synthetic.robot.without_hardware:
+    if real.robot != synthetic.robot:
         raise UserError(f"synthetic=... holds transitions of robot {synthetic.robot!r}, not of {real.robot!r}")
 
 
