@@ -65,7 +65,7 @@ class Broker(StrictModel):
         except ValueError:
             port = 0
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname or port == 0 or parts.path.strip("/"):
-            raise UserError(f"broker={shown} is no address: mqtt://host:1883 or mqtts://user@host:8883")
+            raise UserError(f"broker={shown} is no address of a broker: mqtt://host:1883, mqtts://user@host:8883")
         if parts.password is not None:
             raise UserError(
                 f"broker={shown}: no password in an address, which others see: put it into "

@@ -23,7 +23,7 @@ class MessageFormat:
         """Take the format from the robot's file.
 
         Raises:
-            UserError: the file has no `link`, or numbers so coarse that no command at all, or none at rest, can be sent.
+            UserError: the file has no `link`, or numbers too coarse to send any command, or one at rest.
         """
         if robot.link is None:
             raise UserError(f"robot {robot.name!r} cannot be spoken to: its file in conf/robot/ has no `link:`")
