@@ -186,6 +186,22 @@ class Fleet:
         """Return what the vehicles' actuators are told now, (m,): for tests and studies alone."""
         return dict(zip(self.vehicles, self._memory.commands(len(self.robot.command)), strict=True))
 
+    def status(self) -> str:
+        """Return one line of how it is."""
+        gone = [vehicle for vehicle, process in self.robots.items() if not process.is_running]
+        gone += [] if self.camera.is_running else ["the camera"]
+        moving = int((self._memory.velocities(time.monotonic()) != 0).any(axis=1).sum())
+        heard = int(self._memory.heard().sum())
+        line = f"{time.monotonic() - self._began_s:.0f} s: {heard} commands heard, {moving} vehicles moving"
+        return f"{line}; gone: {', '.join(gone)}" if gone else line
+
+    @property
+    def firmware_timeout_s(self) -> float | None:
+        """For how long vehicles drive on without a command; None: for ever."""
+        if self.settings.firmware_timeout_s is None and self.robot.link is not None:
+            return self.robot.link.firmware_timeout_s
+        return self.settings.firmware_timeout_s
+
     def close(self) -> None:
         """End all processes; twice does no harm."""
         for process in [*self.robots.values(), *([self.camera] if hasattr(self, "camera") else [])]:
@@ -228,9 +244,6 @@ class Fleet:
 
     def _start_robot(self, vehicle: str, pose: Pose) -> ChildProcess:
         orders = self._memory.orders()
-        timeout_s = self.settings.firmware_timeout_s
-        if timeout_s is None and self.robot.link is not None:
-            timeout_s = self.robot.link.firmware_timeout_s
         told = {
             **self._told(),
             "effects": self._effects(vehicle),
@@ -238,7 +251,7 @@ class Fleet:
             "pose": pose,
             "placed": orders.placement_number(vehicle) if orders else 0,
             "broker": self._broker.told_to_child(),
-            "firmware_timeout_s": timeout_s,
+            "firmware_timeout_s": self.firmware_timeout_s,
             "session_began_s": self._began_s,
             "session_s": self.settings.session_s,
             "wall_mm": self.settings.wall_mm,

@@ -31,7 +31,10 @@ class FleetMemory:
         descriptor: of the file, to be inherited by the processes.
     """
 
-    columns = ("counter", "from_s", "x", "y", "heading", "to_s", "to_x", "to_y", "to_heading", "placed", "skipped_s")
+    columns = (
+        *("counter", "from_s", "from_x", "from_y", "from_heading", "to_s", "to_x", "to_y", "to_heading"),
+        *("placed", "skipped_s", "heard"),
+    )
     longest_command = 8
     orders_bytes = 1 << 18
 
@@ -61,6 +64,7 @@ class FleetMemory:
         command: np.ndarray,
         placed: int,
         skipped_s: float,
+        heard: int,
     ) -> None:
         """Write how a vehicle moves now.
 
@@ -71,12 +75,13 @@ class FleetMemory:
             command: (m,) that the actuators are told.
             placed: the number of the last placement that it has seen.
             skipped_s: for how long in all it was frozen.
+            heard: commands that it has heard.
         """
         row = self._rows[index]
         row[0] += 1 if row[0] % 2 == 0 else 2
         row[1:9] = (start[0], *start[1], end[0], *end[1])
-        row[9:11] = placed, skipped_s
-        row[11 : 11 + len(command)] = command
+        row[9:12] = placed, skipped_s, heard
+        row[12 : 12 + len(command)] = command
         row[0] += 1
 
     def read(self, tries: int = 50) -> np.ndarray:
@@ -109,11 +114,15 @@ class FleetMemory:
 
     def commands(self, length: int) -> np.ndarray:
         """Return what the vehicles' actuators are told, (V, m)."""
-        return self.read()[:, 11 : 11 + length]
+        return self.read()[:, 12 : 12 + length]
 
     def skipped_s(self) -> np.ndarray:
         """Return for how long in all each vehicle was frozen, (V,)."""
         return self.read()[:, 10]
+
+    def heard(self) -> np.ndarray:
+        """Return how many commands each vehicle has heard, (V,)."""
+        return self.read()[:, 11]
 
     def have_placed(self, orders: Orders, vehicles: Collection[str]) -> bool:
         """Return whether some vehicles stand where the orders put them, or did."""

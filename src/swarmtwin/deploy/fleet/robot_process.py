@@ -50,6 +50,7 @@ class RobotProcess:
         self._session_began_s = told["session_began_s"]
         self._placed = told["placed"]
         self._skipped_s = 0.0
+        self._heard = 0
         self._orders_number = -1
         self._connect_again_s = 0.0
         self._broker = Broker.parse(told["broker"], "broker")
@@ -78,13 +79,13 @@ class RobotProcess:
     def _step(self, from_s: float, to_s: float) -> None:
         self._follow_orders()
         for message in self._path.due(from_s):
-            self._firmware.receive(message, from_s)
+            self._heard += self._firmware.receive(message, from_s)
         command = self._firmware.command(from_s)
         others_mm = self._memory.poses(from_s)[self._others, :2]
         start = from_s, self._vehicle.pose.copy()
         self._vehicle.step(command, from_s - self._session_began_s, others_mm)
         end = to_s, self._vehicle.pose
-        self._memory.write(self._index, start, end, command, self._placed, self._skipped_s)
+        self._memory.write(self._index, start, end, command, self._placed, self._skipped_s, self._heard)
 
     def _follow_orders(self) -> None:
         number = self._memory.orders_number
