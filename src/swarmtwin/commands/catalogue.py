@@ -48,6 +48,7 @@ COMMANDS = {
         "a policy from the same starts in the simulation and on stand-ins, side by side",
         Ranking(("stand_in_success",), True),
     ),
+    "fleet": Command("fleet", "emulated robots on a real broker, under an emulated camera"),
     "promote": Command("promote", "make a registered model the champion, if it passes the gate; or roll back"),
     "experiment": Command("experiment", "a table or figure of the paper, or an overview of the pipeline"),
 }
