@@ -1,0 +1,147 @@
+"""The watching simulation: is what each vehicle does what the registered simulation expects?
+
+Each period's residual is standardised by the motion's noise, and by what units differ where nothing is wrong: that is
+a constant of each vehicle, with a prior of the units' spread, and estimated on the way (a Kalman filter), so that the
+innovations are independent from period to period. Their tails are taken for those of a t distribution. Each
+innovation's p-value becomes an e-value, 1 on average where nothing is wrong and large where it is (the calibrator
+∫κp^(κ−1)dκ of Vovk and Sellke); e-values run into a detector of Shiryaev and Roberts, M ← (1 + M)·e, which reaches A no
+earlier than after A periods on average (Shin, Ramdas and Rinaldo, E-detectors, 2022).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy import stats
+
+from swarmtwin.deploy.control.settings import WatchSettings
+from swarmtwin.geometry import log_map, wrap_angle
+from swarmtwin.simulation.mechanism import twist_of_wheels, wheel_travel
+from swarmtwin.simulation.simulation import Simulation
+
+
+class Expectation:
+    """Compares measured with expected displacements of V vehicles, period by period.
+
+    Attributes:
+        alarm: (V,) the detectors' values; a vehicle is under alarm where it reaches `limit`.
+        limit: the average number of periods between false alarms.
+        z: (V, 3) the last standardised innovations, forward, left, turn; NaN where there was none.
+        rung: (V,) how often each alarm has begun.
+        is_severe: (V,) whether it is under alarm and has long moved far otherwise than expected.
+    """
+
+    def __init__(self, simulation: Simulation, vehicles: Sequence[str], settings: WatchSettings) -> None:
+        count = len(vehicles)
+        self.limit = settings.periods_between_false_alarms
+        self.alarm = np.zeros(count)
+        self.z = np.full((count, 3), np.nan)
+        self.rung = np.zeros(count, int)
+        self.is_severe = np.zeros(count, bool)
+        self._simulation = simulation
+        self._robot = simulation.robot
+        self._settings = settings
+        self._vehicles = tuple(vehicles)
+        self._far_for = np.zeros(count, int)
+        self._is_under = np.zeros(count, bool)
+        spread = settings.unit_spread or self._robot.unit_spread or 0.06
+        self._track_mm = simulation.conditions.track_mm or self._robot.actuation.track_mm
+        if self._robot.actuation.kind == "wheel" and self._track_mm is None:
+            self._track_mm = min(self._robot.vehicle_size_mm)
+        differences = 4 if self._track_mm else 3
+        self._difference = np.zeros((count, differences))
+        self._covariance = np.broadcast_to(spread**2 * np.eye(differences), (count, differences, differences)).copy()
+
+    def update(self, expected: np.ndarray, measured: np.ndarray, duration_s: np.ndarray) -> list[int]:
+        """Take in one period.
+
+        Args:
+            expected: (V, 3) displacements by the simulation.
+            measured: (V, 3) displacements, NaN where a vehicle was not seen.
+            duration_s: (V,) of these.
+
+        Returns:
+            the vehicles (indices) whose alarm begins now.
+        """
+        known = np.isfinite(measured).all(axis=1) & (duration_s > 0)
+        twist = log_map(np.where(known[:, None], expected, 0.0))
+        residual = log_map(np.where(known[:, None], measured, 0.0)) - twist
+        residual[:, 2] = wrap_angle(residual[:, 2])
+        shows = self._unit_changes(twist)
+        covariance = shows @ self._covariance @ shows.transpose(0, 2, 1)
+        covariance[:, range(3), range(3)] += self._variance(twist, duration_s)
+        innovation = residual - (shows @ self._difference[..., None])[..., 0]
+        z = np.linalg.solve(np.linalg.cholesky(covariance), innovation[..., None])[..., 0]
+        self.z = np.where(known[:, None], z, np.nan)
+        evidence = _e_value(stats.f.sf((z**2).sum(axis=1) / 3, 3, self._settings.tails))
+        self.alarm = np.where(known, (1 + self.alarm) * evidence, self.alarm).clip(max=1e300)
+        self._learn_unit(known, shows, covariance, innovation)
+        self._judge_severity(known, residual)
+        under = self.alarm >= self.limit
+        begun = under & ~self._is_under
+        self._is_under = under
+        self.rung += begun
+        return [int(index) for index in np.flatnonzero(begun)]
+
+    @property
+    def is_under_alarm(self) -> np.ndarray:
+        """Whether each vehicle does not behave as expected, (V,)."""
+        return self._is_under
+
+    def words(self, vehicle: int) -> str:
+        """Say how a vehicle deviates."""
+        ahead, aside, turn = self.z[vehicle]
+        return (
+            f"vehicle {self._vehicles[vehicle]} does not move as the simulation expects (standard deviations in the "
+            f"last period: forward {ahead:+.1f}, left {aside:+.1f}, turn {turn:+.1f}; a false alarm once in "
+            f"{self.limit:.0f} periods)"
+        )
+
+    def _unit_changes(self, twist: np.ndarray) -> np.ndarray:
+        """Return by what twists (V, 3) change, per unit of each difference between units, (V, 3, D)."""
+        changes = [twist[:, axis, None] * np.eye(3)[axis] for axis in range(3)]
+        if self._track_mm:
+            moved = torch.as_tensor(twist)
+            apart = wheel_travel(moved, self._track_mm) * torch.tensor([[0.5, -0.5]], dtype=moved.dtype)
+            changes.append(twist_of_wheels(apart, torch.zeros_like(moved), self._track_mm).numpy())
+        return np.stack(changes, axis=-1)
+
+    def _variance(self, twist: np.ndarray, duration_s: np.ndarray) -> np.ndarray:
+        """Return the variance of residual twists (V, 3): of motion, camera and the simulation itself."""
+        settings, noise = self._settings, self._simulation.motion_noise
+        path2 = (twist[:, :2] ** 2).sum(axis=1)
+        least = np.array([settings.least_spread_mm, settings.least_spread_mm, settings.least_spread_rad])
+        length2 = np.stack([path2, path2, twist[:, 2] ** 2], axis=1)
+        variance = least**2 + settings.motion_spread**2 * length2
+        if noise is not None:
+            periods = (duration_s / self._robot.period_s)[:, None]
+            size2 = (path2 / noise.usual_mm**2 + twist[:, 2] ** 2 / noise.usual_rad**2)[:, None]
+            motion = np.array(noise.at_rest) * np.minimum(periods, 4) + np.array(noise.with_motion) * size2
+            camera = 2 * np.array(noise.camera)
+            variance = variance + self._simulation.noise_factor**2 * motion + camera
+            variance[:, :2] += noise.camera[2] * path2[:, None]
+        return variance
+
+    def _learn_unit(
+        self, known: np.ndarray, shows: np.ndarray, covariance: np.ndarray, innovation: np.ndarray
+    ) -> None:
+        gain = np.linalg.solve(covariance, shows @ self._covariance).transpose(0, 2, 1)  # (V, D, 3)
+        learned = self._difference + (gain @ innovation[..., None])[..., 0]
+        certain = self._covariance - gain @ shows @ self._covariance
+        self._difference = np.where(known[:, None], learned, self._difference)
+        self._covariance = np.where(known[:, None, None], certain, self._covariance)
+
+    def _judge_severity(self, known: np.ndarray, residual: np.ndarray) -> None:
+        far_mm = self._settings.severe_share * self._robot.largest_displacement.forward_mm
+        far_rad = self._settings.severe_share * self._robot.largest_displacement.turn_rad
+        far = (np.hypot(residual[:, 0], residual[:, 1]) > far_mm) | (np.abs(residual[:, 2]) > far_rad)
+        self._far_for = np.where(known, np.where(far, self._far_for + 1, 0), self._far_for)
+        self.is_severe = (self._far_for >= self._settings.severe_periods) & (self.alarm >= self.limit)
+
+
+def _e_value(p: np.ndarray) -> np.ndarray:
+    """Return e-values (V,) of p-values: at most 1 on average where these are uniform or larger."""
+    p = np.clip(p, 1e-300, 1 - 1e-9)
+    logarithm = np.log(p)
+    value: np.ndarray = (1 - p + p * logarithm) / (p * logarithm**2)
+    return value
