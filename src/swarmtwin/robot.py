@@ -187,6 +187,11 @@ class Robot(StrictModel):
         return np.array([column.high for column in self.command.values()])
 
     @property
+    def command_at_rest(self) -> np.ndarray:
+        """The command nearest to zero, (m,): what a vehicle is told that is to stand still."""
+        return np.clip(0.0, self.command_low, self.command_high)
+
+    @property
     def displacement_limit(self) -> np.ndarray:
         """Largest believable absolute displacement over one period, (3,): mm, mm, rad."""
         largest = self.largest_displacement
