@@ -89,7 +89,7 @@ class SafetyFilter:
             command = candidates[chosen, vehicles]
             reasons = ["withheld: together" if now else before for now, before in zip(moving, reasons, strict=True)]
         beyond = np.abs(requested - bounded).max(axis=1) > 1e-6 * np.abs(bounded).max(initial=1.0)
-        reasons = [" and ".join(filter(None, ["bounded" * out, why])) for out, why in zip(beyond, reasons, strict=True)]
+        reasons = [f"bounded{why and ', '}{why}" if out else why for out, why in zip(beyond, reasons, strict=True)]
         self._count(bounded, scales[chosen])
         return Decision(command, scales[chosen], tuple(reasons))
 

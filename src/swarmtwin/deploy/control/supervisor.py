@@ -11,8 +11,9 @@ import select
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,7 @@ class Supervisor:
         self.heartbeat = Heartbeat.open(orders.heartbeat)
         self._controller_lives = controller_lives
         self._zeros = {vehicle: link.robot.command_at_rest for vehicle in orders.vehicles}
+        self._plain_zeros = {vehicle: zeros.tolist() for vehicle, zeros in self._zeros.items()}
         self._last_zeros_s = -float("inf")
         self._log = orders.log.open("a", buffering=1)
 
@@ -108,7 +110,7 @@ class Supervisor:
             return
         self._last_zeros_s = now_s
         with suppress(LinkLostError):  # the connection comes back by itself, and then the next ones go through
-            self._write(event="zeros", sent_s=self.link.send(self._zeros))
+            self._write(event="zeros", sent_s=self.link.send(self._zeros), sent=self._plain_zeros)
 
     def _write(self, **what: Any) -> None:
         with suppress(OSError):  # a full disk must not keep the vehicles moving
@@ -121,8 +123,9 @@ class SupervisorProcess:
     def __init__(self, orders: Orders) -> None:
         """Start it; `wait_until_ready` before anything moves."""
         command = [sys.executable, "-m", "swarmtwin.deploy.control.supervisor"]
+        self._complaints = tempfile.TemporaryFile("w+")  # nobody reads a pipe when the controller is dead
         self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+            command, stdin=subprocess.PIPE, stderr=self._complaints, text=True, start_new_session=True
         )
         assert self.process.stdin
         self.process.stdin.write(orders.model_dump_json() + "\n")
@@ -138,8 +141,8 @@ class SupervisorProcess:
         until_s = time.monotonic() + timeout_s
         while not heartbeat.read("supervisor_ready"):
             if self.process.poll() is not None:
-                assert self.process.stderr
-                lines = self.process.stderr.read().strip().splitlines()
+                self._complaints.seek(0)
+                lines = self._complaints.read().strip().splitlines()
                 return lines[-1] if lines else f"it ended with status {self.process.returncode}"
             if time.monotonic() > until_s:
                 return f"it was not ready within {timeout_s:g} s"
@@ -152,16 +155,15 @@ class SupervisorProcess:
 
     def close(self) -> None:
         """Let it go: it ends when the pipe closes."""
-        if self.process.stdin:
-            with suppress(OSError):
-                self.process.stdin.close()
+        assert self.process.stdin
+        with suppress(OSError):
+            self.process.stdin.close()
         try:
             self.process.wait(5)
         except subprocess.TimeoutExpired:  # it was frozen, say
             self.process.kill()
             self.process.wait()
-        if self.process.stderr:
-            self.process.stderr.close()
+        self._complaints.close()
 
 
 def connect_by(description: dict[str, Any], name: str) -> Link:
@@ -201,9 +203,14 @@ def _pipe_is_open(timeout_s: float) -> bool:
     return not readable or bool(os.read(0, 1))
 
 
-def vehicles_at_rest(link: Link, vehicles: Sequence[str]) -> float:
-    """Send zeros once; return when."""
-    return link.send({vehicle: link.robot.command_at_rest for vehicle in vehicles})
+def mqtt_link(name: str, robot: dict[str, Any], broker: dict[str, Any]) -> Link:
+    """Connect through a broker; the robot with its link, and what `Broker.at` wants, as plain data."""
+    from swarmtwin.deploy.link.broker import Broker
+    from swarmtwin.deploy.link.mqtt_link import connect
+    from swarmtwin.robot import Robot
+
+    files = {key: Path(path) for key, path in broker.items() if key != "address" and path is not None}
+    return connect(Robot.parse(robot, "robot"), Broker.at(broker["address"], **files), name)
 
 
 if __name__ == "__main__":
