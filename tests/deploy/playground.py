@@ -179,9 +179,7 @@ class Playground:
         self.filter = SafetyFilter(
             self.robot, arena, self.vehicles.ids, ahead, self.settings, self.settings.separation_mm
         )
-        self.conditions = StopConditions(
-            self.robot, arena, self.vehicles.ids, self.settings, self.settings.too_near_mm
-        )
+        self.conditions = StopConditions(self.robot, arena, self.vehicles.ids, self.settings, self.settings.too_near_mm)
         self.journal = Journal(folder / "journal.jsonl", 2**20)
         self.controller = Controller(
             self.vehicles.ids,

@@ -4,8 +4,8 @@ import time
 
 import numpy as np
 import pytest
-
 from playground import Playground, Told
+
 from swarmtwin.deploy.control.journal import read_journal
 
 APART = np.array([[300.0, 300.0, 0.0], [300.0, 700.0, 0.0], [700.0, 500.0, 3.0]])

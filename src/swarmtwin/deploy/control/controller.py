@@ -245,7 +245,7 @@ class Controller:
         return sent_s
 
     def _watch(self, tick: int, seen: Mapping[str, SeenPose]) -> bool:
-        """Compare what each vehicle did since the last period with what the simulation expects; return whether to go on."""
+        """Compare what each vehicle did since the last period with what is expected; return whether to go on."""
         watch, before = self.watchmen.expectation, self._before
         self._before = dict(seen)
         if watch is None or not before:

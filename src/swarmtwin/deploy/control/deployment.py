@@ -5,8 +5,8 @@ import logging
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -16,7 +16,7 @@ import torch
 
 from swarmtwin.deploy.camera.camera import Camera, Frame
 from swarmtwin.deploy.control.controller import Controller, Outcome, Watchmen
-from swarmtwin.deploy.control.deployment_recording import SUPERVISOR_LOG
+from swarmtwin.deploy.control.deployment_recording import SUPERVISOR_LOG, write_about
 from swarmtwin.deploy.control.driver import Driver
 from swarmtwin.deploy.control.effect_time import EffectTimePredictor
 from swarmtwin.deploy.control.expectation import Expectation
@@ -67,11 +67,15 @@ class Plan:
     collision_mm: float | None
     periods: int
     watches: bool = True
-    safety: SafetySettings = SafetySettings()
-    timing: TimingSettings = TimingSettings()
-    watch: WatchSettings = WatchSettings()
+    safety: SafetySettings = field(default_factory=SafetySettings)
+    timing: TimingSettings = field(default_factory=TimingSettings)
+    watch: WatchSettings = field(default_factory=WatchSettings)
     pictures_per_s: float = 60.0
     wait_s: float = 10.0
+
+    def with_supervisor(self, link: Mapping[str, Any]) -> "Plan":
+        """Return the plan with a supervisor that connects as told."""
+        return replace(self, link=link)
 
     @property
     def separation_mm(self) -> float:
@@ -104,11 +108,19 @@ class Deployment:
         interrupts: from outside.
         supervisor: the process beside; None: there is none.
         view: the live view; None: there is none.
-        filter: of the last drive.
+        interventions: commands weakened so far, in all drives.
+        deadlocks: vehicles held back for long so far.
     """
 
     def __init__(
-        self, plan: Plan, link: Link, camera: Camera, tracker: Tracks, folder: Path, view: LiveView | None = None
+        self,
+        plan: Plan,
+        link: Link,
+        camera: Camera,
+        tracker: Tracks,
+        folder: Path,
+        about: Mapping[str, Any],
+        view: LiveView | None = None,
     ) -> None:
         """Prepare.
 
@@ -118,6 +130,7 @@ class Deployment:
             camera: sees them.
             tracker: finds them on its pictures.
             folder: an existing one, for the journal.
+            about: of `deployment.yaml`, from which a killed deployment is finished.
             view: for people to look at, started; None: nobody looks.
         """
         self.plan = plan
@@ -126,13 +139,16 @@ class Deployment:
         self.interrupts = Interrupts()
         self.supervisor: SupervisorProcess | None = None
         self.expectation = Expectation(plan.simulation, plan.vehicles, plan.watch) if plan.watches else None
-        self.filter: SafetyFilter | None = None
+        self.interventions = 0
+        self.deadlocks = 0
         self._folder = folder
+        self._about = about
         self._shared = Path(tempfile.mkdtemp(prefix="swarmtwin-"))
         self.observer = Observer(camera, tracker, plan.vehicles, self._on_sighting)
 
     def __enter__(self) -> Self:
         try:
+            write_about(self._folder, self._about)
             self.journal = Journal(self._folder / JOURNAL, self.plan.journal_bytes)
             self.heartbeat = self.view.heartbeat if self.view else Heartbeat.create(self._shared / "heartbeat")
             self._start_supervisor()
@@ -177,10 +193,10 @@ class Deployment:
         return pose
 
     def drive(self, driver: Driver, periods: int, run: str) -> Outcome:
-        """Drive for so many periods or until the driver is done; the vehicles stand afterwards, or the outcome says so."""
+        """Drive for so many periods or until the driver is done, then stop."""
         plan = self.plan
         self.journal.write("run", name=run)
-        self.filter = SafetyFilter(
+        safety = SafetyFilter(
             plan.robot,
             plan.arena,
             plan.vehicles,
@@ -189,13 +205,13 @@ class Deployment:
             plan.separation_mm,
             self._as_sent,
         )
-        self._warm_up()
+        self._warm_up(safety)
         controller = Controller(
             plan.vehicles,
             self.link,
             self.observer,
             EffectTimePredictor(plan.simulation, len(plan.vehicles)),
-            self.filter,
+            safety,
             self._conditions(),
             self.journal,
             Watchmen(
@@ -208,7 +224,10 @@ class Deployment:
             (plan.safety, plan.timing),
         )
         with self.interrupts.heeded():
-            return controller.run(driver, periods)
+            outcome = controller.run(driver, periods)
+        self.interventions += safety.interventions
+        self.deadlocks += safety.deadlocks
+        return outcome
 
     def _conditions(self) -> StopConditions:
         plan = self.plan
@@ -223,14 +242,13 @@ class Deployment:
         fresh_s = self.plan.safety.pose_age_s
         return [one for one in self.plan.vehicles if one not in seen or now_s - seen[one].captured_s > fresh_s]
 
-    def _warm_up(self) -> None:
+    def _warm_up(self, safety: SafetyFilter) -> None:
         """Let everything compute once that the first period will: what is first is slow."""
         plan = self.plan
         state = plan.simulation.start(torch.zeros(1, len(plan.vehicles), 3))
-        assert self.filter
         rest = np.tile(plan.robot.command_at_rest, (len(plan.vehicles), 1))
         for _ in range(3):
-            self.filter(state, rest)
+            safety(state, rest)
 
     def _start_supervisor(self) -> None:
         plan = self.plan

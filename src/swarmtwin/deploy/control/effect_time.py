@@ -89,7 +89,7 @@ class EffectTimePredictor:
         vehicles = len(self._at_rest)
         start_s, end_s = (np.broadcast_to(np.asarray(moment, float), vehicles) for moment in (start_s, end_s))
         moved = np.zeros((vehicles, 3))
-        edges = [held.from_s for held in self.held][1:] + [np.inf]
+        edges = [*[held.from_s for held in self.held][1:], np.inf]
         for held, until_s in zip(self.held, edges, strict=True):
             overlap_s = np.minimum(end_s, until_s) - np.maximum(start_s, held.from_s)
             share = np.clip(overlap_s, 0.0, None)[:, None] / self._period_s

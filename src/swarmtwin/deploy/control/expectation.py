@@ -1,11 +1,14 @@
-"""The watching simulation: is what each vehicle does what the registered simulation expects?
+"""The watching simulation: whether what each vehicle does is what the registered simulation expects.
 
 Each period's residual is standardised by the motion's noise, and by what units differ where nothing is wrong: that is
 a constant of each vehicle, with a prior of the units' spread, and estimated on the way (a Kalman filter), so that the
-innovations are independent from period to period. Their tails are taken for those of a t distribution. Each
-innovation's p-value becomes an e-value, 1 on average where nothing is wrong and large where it is (the calibrator
-∫κp^(κ−1)dκ of Vovk and Sellke); e-values run into a detector of Shiryaev and Roberts, M ← (1 + M)·e, which reaches A no
-earlier than after A periods on average (Shin, Ramdas and Rinaldo, E-detectors, 2022).
+innovations are independent from period to period, with the tails of a t distribution.
+
+What may be wrong is named beforehand: all speeds, one of them, or one wheel have changed by some share, or the vehicle
+follows its commands gradually. Each of these alternatives has a detector of Shiryaev and Roberts, M ← (1 + M)·e, where e
+is the likelihood ratio of the innovation; one more takes what is none of them, by the e-value of the innovation's
+p-value (the calibrator ∫κp^(κ−1)dκ of Vovk and Sellke). Since each e is 1 on average where nothing is wrong, the
+detectors' mean reaches A no earlier than after A periods on average (Shin, Ramdas and Rinaldo, E-detectors, 2022).
 """
 
 from collections.abc import Sequence
@@ -24,7 +27,6 @@ class Expectation:
     """Compares measured with expected displacements of V vehicles, period by period.
 
     Attributes:
-        alarm: (V,) the detectors' values; a vehicle is under alarm where it reaches `limit`.
         limit: the average number of periods between false alarms.
         z: (V, 3) the last standardised innovations, forward, left, turn; NaN where there was none.
         rung: (V,) how often each alarm has begun.
@@ -34,7 +36,6 @@ class Expectation:
     def __init__(self, simulation: Simulation, vehicles: Sequence[str], settings: WatchSettings) -> None:
         count = len(vehicles)
         self.limit = settings.periods_between_false_alarms
-        self.alarm = np.zeros(count)
         self.z = np.full((count, 3), np.nan)
         self.rung = np.zeros(count, int)
         self.is_severe = np.zeros(count, bool)
@@ -50,6 +51,9 @@ class Expectation:
             self._track_mm = min(self._robot.vehicle_size_mm)
         differences = 4 if self._track_mm else 3
         self._difference = np.zeros((count, differences))
+        self._twist_before = np.full((count, 3), np.nan)
+        self._alternatives = _alternatives(differences, settings.changes)
+        self._detectors = np.zeros((count, self._alternatives.shape[1] + len(settings.lag_shares) + 1))
         self._covariance = np.broadcast_to(spread**2 * np.eye(differences), (count, differences, differences)).copy()
 
     def update(self, expected: np.ndarray, measured: np.ndarray, duration_s: np.ndarray) -> list[int]:
@@ -71,10 +75,13 @@ class Expectation:
         covariance = shows @ self._covariance @ shows.transpose(0, 2, 1)
         covariance[:, range(3), range(3)] += self._variance(twist, duration_s)
         innovation = residual - (shows @ self._difference[..., None])[..., 0]
-        z = np.linalg.solve(np.linalg.cholesky(covariance), innovation[..., None])[..., 0]
+        root = np.linalg.cholesky(covariance)
+        z = np.linalg.solve(root, innovation[..., None])[..., 0]
         self.z = np.where(known[:, None], z, np.nan)
-        evidence = _e_value(stats.f.sf((z**2).sum(axis=1) / 3, 3, self._settings.tails))
-        self.alarm = np.where(known, (1 + self.alarm) * evidence, self.alarm).clip(max=1e300)
+        evidence = self._evidence(z, np.linalg.solve(root, self._shifts(twist, shows)))
+        grown = ((1 + self._detectors) * evidence).clip(max=1e300)
+        self._detectors = np.where(known[:, None], grown, self._detectors)
+        self._twist_before = np.where(known[:, None], twist, np.nan)
         self._learn_unit(known, shows, covariance, innovation)
         self._judge_severity(known, residual)
         under = self.alarm >= self.limit
@@ -82,6 +89,17 @@ class Expectation:
         self._is_under = under
         self.rung += begun
         return [int(index) for index in np.flatnonzero(begun)]
+
+    @property
+    def alarm(self) -> np.ndarray:
+        """The mean of each vehicle's detectors, (V,); a vehicle is under alarm where it reaches `limit`."""
+        mean: np.ndarray = self._detectors.mean(axis=1)
+        return mean
+
+    def restart(self, vehicles: Sequence[int]) -> None:
+        """Begin to watch some vehicles (indices) anew, with what is known of their units."""
+        self._detectors[vehicles] = 0.0
+        self._is_under[vehicles] = False
 
     @property
     def is_under_alarm(self) -> np.ndarray:
@@ -96,6 +114,24 @@ class Expectation:
             f"last period: forward {ahead:+.1f}, left {aside:+.1f}, turn {turn:+.1f}; a false alarm once in "
             f"{self.limit:.0f} periods)"
         )
+
+    def _shifts(self, twist: np.ndarray, shows: np.ndarray) -> np.ndarray:
+        """Return by what residuals (V, 3) shift under each alternative, (V, 3, A)."""
+        lags = np.array(self._settings.lag_shares)
+        change = np.nan_to_num(self._twist_before - twist)
+        return np.concatenate([shows @ self._alternatives, change[..., None] * lags], axis=-1)
+
+    def _evidence(self, z: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+        """Return the e-values (V, A + 1) of standardised innovations (V, 3), given their shifts (V, 3, A).
+
+        The densities are those of t distributions as wide that in the middle they fall as a normal one does.
+        """
+        tails = self._settings.tails
+        width = tails + 3.0
+        here, there = (z**2).sum(axis=1)[:, None], ((z[..., None] - shifts) ** 2).sum(axis=1)
+        ratio = ((1 + here / width) / (1 + there / width)) ** (width / 2)
+        other = _e_value(stats.f.sf(here / 3, 3, tails))
+        return np.concatenate([ratio, other], axis=1)
 
     def _unit_changes(self, twist: np.ndarray) -> np.ndarray:
         """Return by what twists (V, 3) change, per unit of each difference between units, (V, 3, D)."""
@@ -122,9 +158,7 @@ class Expectation:
             variance[:, :2] += noise.camera[2] * path2[:, None]
         return variance
 
-    def _learn_unit(
-        self, known: np.ndarray, shows: np.ndarray, covariance: np.ndarray, innovation: np.ndarray
-    ) -> None:
+    def _learn_unit(self, known: np.ndarray, shows: np.ndarray, covariance: np.ndarray, innovation: np.ndarray) -> None:
         gain = np.linalg.solve(covariance, shows @ self._covariance).transpose(0, 2, 1)  # (V, D, 3)
         learned = self._difference + (gain @ innovation[..., None])[..., 0]
         certain = self._covariance - gain @ shows @ self._covariance
@@ -137,6 +171,17 @@ class Expectation:
         far = (np.hypot(residual[:, 0], residual[:, 1]) > far_mm) | (np.abs(residual[:, 2]) > far_rad)
         self._far_for = np.where(known, np.where(far, self._far_for + 1, 0), self._far_for)
         self.is_severe = (self._far_for >= self._settings.severe_periods) & (self.alarm >= self.limit)
+
+
+def _alternatives(differences: int, changes: Sequence[float]) -> np.ndarray:
+    """Return what may have changed of a unit, (D, A), by some shares: all speeds, each alone, one wheel."""
+    all_speeds = np.zeros(differences)
+    all_speeds[:3] = 1.0
+    directions = [all_speeds, *np.eye(differences)[[0, 2]]]
+    if differences > 3:
+        apart = np.eye(differences)[3]
+        directions += [all_speeds / 2 + apart, all_speeds / 2 - apart]  # the left wheel, the right wheel
+    return np.column_stack([change * direction for direction in directions for change in changes])
 
 
 def _e_value(p: np.ndarray) -> np.ndarray:

@@ -102,7 +102,7 @@ class Observer:
             return [one for one in self._seen[vehicle] if one.captured_s > from_s]
 
     def known_around(self, at_s: float) -> float | None:
-        """Return when the poses were known of the picture of which they were known nearest to a moment; None: of none."""
+        """Return when a picture's poses were known, of all pictures nearest to a moment; None: there were none."""
         with self._changed:
             return min(self._known_s, key=lambda known_s: abs(known_s - at_s), default=None)
 

@@ -82,7 +82,7 @@ class SafetyFilter:
         chosen = self._choose(fence, pairs)
         vehicles = np.arange(len(chosen))
         command = candidates[chosen, vehicles]
-        reasons = [self._reason(vehicle, chosen, scales, fence, pairs) for vehicle in vehicles]
+        reasons = [self._reason(vehicle, chosen, scales, fence, pairs) for vehicle in range(len(chosen))]
         if len(set(chosen)) > 1 and not self._is_safe(self._look_ahead(state, command[None])):
             moving = scales[chosen] > 0
             chosen = np.full(len(chosen), len(scales) - 1)

@@ -101,6 +101,8 @@ class WatchSettings(StrictModel):
         motion_spread: random part of the motion, as a share of it, beyond what the simulation states.
         least_spread_mm: the residual's standard deviation is at least this, by camera and interpolation.
         least_spread_rad: likewise for turns.
+        changes: by which shares speeds or a wheel may have changed of a vehicle that is not as it was.
+        lag_shares: which share of the motion before may be left in a period of a vehicle that follows gradually.
         severe_periods: a vehicle under alarm that has moved otherwise than expected for so many periods in a row
         severe_share: by more than this share of the robot's largest believable displacement stops the group.
     """
@@ -111,5 +113,7 @@ class WatchSettings(StrictModel):
     motion_spread: NotNegative = 0.05
     least_spread_mm: Positive = 0.7
     least_spread_rad: Positive = 0.01
+    changes: Annotated[tuple[float, ...], Field(min_length=1)] = (-1.0, -0.6, -0.3, -0.15, 0.2, 0.4)
+    lag_shares: tuple[float, ...] = (0.2, 0.5)
     severe_periods: Count = 4
     severe_share: Positive = 0.4

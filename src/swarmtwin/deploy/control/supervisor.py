@@ -5,6 +5,7 @@ controller may be silent. `python -m swarmtwin.deploy.control.supervisor` reads 
 input and then watches that pipe, too: it ends when the controller does, however that ends.
 """
 
+import importlib
 import json
 import os
 import select
@@ -19,8 +20,10 @@ from pathlib import Path
 from typing import Any
 
 from swarmtwin.deploy.control.heartbeat import ASKED, DIED, FROZE, Heartbeat, Phase
+from swarmtwin.deploy.link.broker import Broker
 from swarmtwin.deploy.link.link import Link, LinkLostError
-from swarmtwin.robot import StrictModel
+from swarmtwin.deploy.link.mqtt_link import connect
+from swarmtwin.robot import Robot, StrictModel
 
 
 class Orders(StrictModel):
@@ -62,7 +65,7 @@ class Supervisor:
         self.link = link
         self.heartbeat = Heartbeat.open(orders.heartbeat)
         self._controller_lives = controller_lives
-        self._zeros = {vehicle: link.robot.command_at_rest for vehicle in orders.vehicles}
+        self._zeros = dict.fromkeys(orders.vehicles, link.robot.command_at_rest)
         self._plain_zeros = {vehicle: zeros.tolist() for vehicle, zeros in self._zeros.items()}
         self._last_zeros_s = -float("inf")
         self._log = orders.log.open("a", buffering=1)
@@ -123,7 +126,7 @@ class SupervisorProcess:
     def __init__(self, orders: Orders) -> None:
         """Start it; `wait_until_ready` before anything moves."""
         command = [sys.executable, "-m", "swarmtwin.deploy.control.supervisor"]
-        self._complaints = tempfile.TemporaryFile("w+")  # nobody reads a pipe when the controller is dead
+        self._complaints = tempfile.TemporaryFile("w+")  # noqa: SIM115 - nobody reads a pipe of a dead controller
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stderr=self._complaints, text=True, start_new_session=True
         )
@@ -171,8 +174,6 @@ def connect_by(description: dict[str, Any], name: str) -> Link:
 
     It is written by the controller, never by a file from outside.
     """
-    import importlib
-
     module, function = description["factory"].split(":")
     others = {key: value for key, value in description.items() if key != "factory"}
     link: Link = getattr(importlib.import_module(module), function)(name=name, **others)
@@ -205,12 +206,9 @@ def _pipe_is_open(timeout_s: float) -> bool:
 
 def mqtt_link(name: str, robot: dict[str, Any], broker: dict[str, Any]) -> Link:
     """Connect through a broker; the robot with its link, and what `Broker.at` wants, as plain data."""
-    from swarmtwin.deploy.link.broker import Broker
-    from swarmtwin.deploy.link.mqtt_link import connect
-    from swarmtwin.robot import Robot
-
-    files = {key: Path(path) for key, path in broker.items() if key != "address" and path is not None}
-    return connect(Robot.parse(robot, "robot"), Broker.at(broker["address"], **files), name)
+    password_file, ca_file = (Path(path) if path else None for path in (broker["password_file"], broker["ca_file"]))
+    where = Broker.at(broker["address"], password_file, ca_file)
+    return connect(Robot.parse(robot, "robot"), where, name)
 
 
 if __name__ == "__main__":

@@ -133,7 +133,7 @@ class Overlay:
         ahead = centre + 0.75 * length * np.array([np.cos(pose[2]), -np.sin(pose[2])])
         start, end = (tuple(map(int, point.round())) for point in (centre, ahead))
         cv2.arrowedLine(canvas, start, end, ALARM if alarm else shown, 2, cv2.LINE_AA, tipLength=0.3)
-        self._draw_label(canvas, vehicle, centre + (0.0, -0.85 * length), ALARM if alarm else shown)
+        self._draw_label(canvas, vehicle, centre - np.array([0.0, 0.85 * length]), ALARM if alarm else shown)
 
     def _draw_label(self, canvas: np.ndarray, text: str, centre: np.ndarray, colour: tuple[int, ...]) -> None:
         (width, height), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 2)
