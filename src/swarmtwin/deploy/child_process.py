@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from swarmtwin.errors import UserError
@@ -22,11 +22,21 @@ class ChildProcess:
         pid: of the process.
     """
 
-    def __init__(self, module: str, told: Mapping[str, Any]) -> None:
-        """Start it, and tell it `told`, which JSON can hold; `wait_until_ready` before it is used."""
+    def __init__(self, module: str, told: Mapping[str, Any], descriptors: Sequence[int] = ()) -> None:
+        """Start it; `wait_until_ready` before it is used.
+
+        Args:
+            module: its full name.
+            told: what it is told, as JSON can hold it.
+            descriptors: files of this process that it inherits.
+        """
         self.module = module
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+            [sys.executable, "-m", module],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+            pass_fds=tuple(descriptors),
         )
         self.pid = self._process.pid
         assert self._process.stdin

@@ -9,8 +9,13 @@ follows its commands gradually. Each of these alternatives has a detector of Shi
 is the likelihood ratio of the innovation; one more takes what is none of them, by the e-value of the innovation's
 p-value (the calibrator ∫κp^(κ−1)dκ of Vovk and Sellke). Since each e is 1 on average where nothing is wrong, the
 detectors' mean reaches A no earlier than after A periods on average (Shin, Ramdas and Rinaldo, E-detectors, 2022).
+
+What was wrong from the beginning is taken for a unit's own difference at first. The estimate of that is a martingale
+where the prior holds; it passes the distance at which fabrication is no explanation any more with a probability that is
+at most twice that of a unit to lie there.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -45,7 +50,7 @@ class Expectation:
         self._vehicles = tuple(vehicles)
         self._far_for = np.zeros(count, int)
         self._is_under = np.zeros(count, bool)
-        spread = settings.unit_spread or self._robot.unit_spread or 0.06
+        spread = math.sqrt(2) * (settings.unit_spread or self._robot.unit_spread or settings.usual_unit_spread)
         self._track_mm = simulation.conditions.track_mm or self._robot.actuation.track_mm
         if self._robot.actuation.kind == "wheel" and self._track_mm is None:
             self._track_mm = min(self._robot.vehicle_size_mm)
@@ -53,6 +58,8 @@ class Expectation:
         self._difference = np.zeros((count, differences))
         self._twist_before = np.full((count, 3), np.nan)
         self._alternatives = _alternatives(differences, settings.changes)
+        in_all = 2.0 * 2.0 * differences  # two sides, and the martingale's way there (reflection)
+        self._strange_unit = spread * stats.norm.isf(settings.unit_alarm_periods / self.limit / in_all)
         self._detectors = np.zeros((count, self._alternatives.shape[1] + len(settings.lag_shares) + 1))
         self._covariance = np.broadcast_to(spread**2 * np.eye(differences), (count, differences, differences)).copy()
 
@@ -83,10 +90,10 @@ class Expectation:
         self._detectors = np.where(known[:, None], grown, self._detectors)
         self._twist_before = np.where(known[:, None], twist, np.nan)
         self._learn_unit(known, shows, covariance, innovation)
-        self._judge_severity(known, residual)
-        under = self.alarm >= self.limit
+        under = (self.alarm >= self.limit) | (np.abs(self._difference) > self._strange_unit).any(axis=1)
         begun = under & ~self._is_under
         self._is_under = under
+        self._judge_severity(known, residual)
         self.rung += begun
         return [int(index) for index in np.flatnonzero(begun)]
 
@@ -170,7 +177,7 @@ class Expectation:
         far_rad = self._settings.severe_share * self._robot.largest_displacement.turn_rad
         far = (np.hypot(residual[:, 0], residual[:, 1]) > far_mm) | (np.abs(residual[:, 2]) > far_rad)
         self._far_for = np.where(known, np.where(far, self._far_for + 1, 0), self._far_for)
-        self.is_severe = (self._far_for >= self._settings.severe_periods) & (self.alarm >= self.limit)
+        self.is_severe = (self._far_for >= self._settings.severe_periods) & self._is_under
 
 
 def _alternatives(differences: int, changes: Sequence[float]) -> np.ndarray:

@@ -96,8 +96,11 @@ class WatchSettings(StrictModel):
         periods_between_false_alarms: a vehicle with which nothing is wrong is named once in so many periods on average,
             or less often.
         tails: degrees of freedom of the t distribution that standardised residuals are taken to have; fewer, heavier.
-        unit_spread: by which share the speeds of two units differ where nothing is wrong (standard deviation); null:
-            as the robot's file says, or 0.06.
+        unit_spread: by which share a unit's speeds differ from the drawing's where nothing is wrong (standard
+            deviation), both of the vehicle and of the one that was recorded; null: as the robot's file says.
+        usual_unit_spread: where that says nothing: cheap gear motors are sold with ±10 %, two standard deviations.
+        unit_alarm_periods: the chance to take a unit for strange that is none is that of a false alarm in so many
+            periods, once for all.
         motion_spread: random part of the motion, as a share of it, beyond what the simulation states.
         least_spread_mm: the residual's standard deviation is at least this, by camera and interpolation.
         least_spread_rad: likewise for turns.
@@ -110,6 +113,8 @@ class WatchSettings(StrictModel):
     periods_between_false_alarms: Annotated[float, Field(gt=1)] = 10_000.0
     tails: Annotated[float, Field(gt=2)] = 6.0
     unit_spread: Positive | None = None
+    usual_unit_spread: Positive = 0.05
+    unit_alarm_periods: Positive = 50.0
     motion_spread: NotNegative = 0.05
     least_spread_mm: Positive = 0.7
     least_spread_rad: Positive = 0.01

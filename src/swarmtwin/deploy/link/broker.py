@@ -2,7 +2,7 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr
@@ -38,6 +38,11 @@ class Broker(StrictModel):
         user = f"{self.user}@" if self.user else ""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'mqtts' if self.tls else 'mqtt'}://{user}{host}:{self.port}"
+
+    def told_to_child(self) -> dict[str, Any]:
+        """Return all of it as JSON can hold it, password included: for a pipe to a process of our own alone."""
+        password = None if self.password is None else self.password.get_secret_value()
+        return {**self.model_dump(mode="json"), "password": password}
 
     @classmethod
     def at(

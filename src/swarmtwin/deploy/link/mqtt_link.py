@@ -2,8 +2,6 @@
 
 import functools
 import logging
-import secrets
-import socket
 import ssl
 import threading
 import time
@@ -12,8 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTErrorCode, MQTTMessage, MQTTv311
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTErrorCode, MQTTMessage
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -21,6 +18,7 @@ from swarmtwin.deploy.link.broker import Broker
 from swarmtwin.deploy.link.echoes import Echoes, ForeignMessages
 from swarmtwin.deploy.link.link import LinkLostError
 from swarmtwin.deploy.link.message_format import MessageFormat
+from swarmtwin.deploy.link.mqtt_client import make_client
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 
@@ -56,7 +54,6 @@ class MqttLink:
         client.on_disconnect = _never_raise(self._on_disconnect)
         client.on_subscribe = _never_raise(self._on_subscribe)
         client.on_message = _never_raise(self._on_message)
-        client.on_socket_open = _never_raise(_send_at_once)
 
     @property
     def is_connected(self) -> bool:
@@ -206,14 +203,7 @@ def connect(
         UserError: the broker cannot be reached, refuses the user, or shows a certificate that is not trusted.
     """
     message_format = MessageFormat(robot)
-    client_id = f"{name[:16]}-{secrets.token_hex(3)}"  # 23 characters, which every broker takes
-    client = Client(CallbackAPIVersion.VERSION2, client_id, protocol=MQTTv311)
-    client.connect_timeout = 2.0
-    client.reconnect_delay_set(min_delay=0.1, max_delay=1)  # type: ignore[arg-type]
-    if broker.user is not None:
-        client.username_pw_set(broker.user, broker.password.get_secret_value() if broker.password else None)
-    if broker.tls:
-        client.tls_set_context(_tls_context(broker))
+    client = make_client(broker, name)
     if vehicles and message_format.is_for_the_group:
         [(topic, payload)] = message_format.messages(dict.fromkeys(vehicles, robot.command_at_rest)).items()
         client.will_set(topic, payload, qos=0, retain=False)
@@ -237,17 +227,6 @@ def _never_raise(callback: Callable[..., None]) -> Callable[..., None]:
             logger.exception("an MQTT callback failed")
 
     return guarded
-
-
-def _send_at_once(_: Client, __: Any, opened: socket.socket) -> None:
-    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-
-def _tls_context(broker: Broker) -> ssl.SSLContext:
-    try:
-        return ssl.create_default_context(cafile=None if broker.ca_file is None else str(broker.ca_file))
-    except (ssl.SSLError, OSError) as error:
-        raise UserError(f"ca_file {broker.ca_file} holds no certificate (PEM): {error}") from None
 
 
 def _why_unreachable(broker: Broker, error: OSError) -> str:
