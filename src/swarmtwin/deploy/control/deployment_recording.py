@@ -85,6 +85,9 @@ def read_runs(folder: Path) -> list[Run]:
         _add_all(runs[-1], pending["now_s"], pending["sent"], NOT_NOTED)
     if runs:
         _add_supervisors_stops(runs[-1], folder / SUPERVISOR_LOG)
+    for run in runs:
+        for sent in run.sent.values():
+            sent.sort(key=lambda one: one.sent_s)
     return runs
 
 
@@ -117,8 +120,6 @@ def _add_supervisors_stops(run: Run, log: Path) -> None:
     for line in read_journal(log):
         if line.get("event") == "zeros":
             _add_all(run, line["sent_s"], line["sent"], "stop: by the supervisor")
-    for sent in run.sent.values():
-        sent.sort(key=lambda one: one.sent_s)
 
 
 def _without_repetitions(sent: Iterable[Sent], robot: Robot) -> list[Sent]:
