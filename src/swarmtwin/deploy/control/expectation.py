@@ -1,12 +1,13 @@
 """The watching simulation: whether what each vehicle does is what the registered simulation expects.
 
-Each period's residual is standardised by the motion's noise, and by what units differ where nothing is wrong: that is
-a constant of each vehicle, with a prior of the units' spread, and estimated on the way (a Kalman filter), so that the
-innovations are independent from period to period, with the tails of a t distribution.
+Each period's residual is standardised by the motion's noise; by what units differ where nothing is wrong, a constant of
+each vehicle, with a prior of the units' spread; and by what the simulation itself errs here and now, which persists
+while vehicles go on alike. The latter two are estimated on the way (a Kalman filter), so that the innovations are
+independent from period to period, with the tails of a t distribution.
 
 What may be wrong is named beforehand: all speeds, one of them, or one wheel have changed by some share, or the vehicle
-follows its commands gradually. Each of these alternatives has a detector of Shiryaev and Roberts, M ← (1 + M)·e, where e
-is the likelihood ratio of the innovation; one more takes what is none of them, by the e-value of the innovation's
+follows its commands gradually. Each of these alternatives has a detector of Shiryaev and Roberts, M ← (1 + M)·e, where
+e is the likelihood ratio of the innovation; one more takes what is none of them, by the e-value of the innovation's
 p-value (the calibrator ∫κp^(κ−1)dκ of Vovk and Sellke). Since each e is 1 on average where nothing is wrong, the
 detectors' mean reaches A no earlier than after A periods on average (Shin, Ramdas and Rinaldo, E-detectors, 2022).
 
@@ -54,14 +55,18 @@ class Expectation:
         self._track_mm = simulation.conditions.track_mm or self._robot.actuation.track_mm
         if self._robot.actuation.kind == "wheel" and self._track_mm is None:
             self._track_mm = min(self._robot.vehicle_size_mm)
-        differences = 4 if self._track_mm else 3
-        self._difference = np.zeros((count, differences))
+        self._differences = differences = 4 if self._track_mm else 3
         self._twist_before = np.full((count, 3), np.nan)
+        error = settings.simulation_error * np.sqrt(self._usual_variance())
+        prior = np.concatenate([np.full(differences, spread), error]) ** 2
+        self._kept = np.concatenate([np.ones(differences), np.full(3, settings.error_persists)])
+        self._drifts = np.diag((1 - self._kept**2) * prior)
+        self._hidden = np.zeros((count, differences + 3))  # of the unit, then the simulation's error here and now
+        self._covariance = np.broadcast_to(np.diag(prior), (count, differences + 3, differences + 3)).copy()
         self._alternatives = _alternatives(differences, settings.changes)
         in_all = 2.0 * 2.0 * differences  # two sides, and the martingale's way there (reflection)
         self._strange_unit = spread * stats.norm.isf(settings.unit_alarm_periods / self.limit / in_all)
         self._detectors = np.zeros((count, self._alternatives.shape[1] + len(settings.lag_shares) + 1))
-        self._covariance = np.broadcast_to(spread**2 * np.eye(differences), (count, differences, differences)).copy()
 
     def update(self, expected: np.ndarray, measured: np.ndarray, duration_s: np.ndarray) -> list[int]:
         """Take in one period.
@@ -78,10 +83,11 @@ class Expectation:
         twist = log_map(np.where(known[:, None], expected, 0.0))
         residual = log_map(np.where(known[:, None], measured, 0.0)) - twist
         residual[:, 2] = wrap_angle(residual[:, 2])
+        self._pass_period(known)
         shows = self._unit_changes(twist)
         covariance = shows @ self._covariance @ shows.transpose(0, 2, 1)
         covariance[:, range(3), range(3)] += self._variance(twist, duration_s)
-        innovation = residual - (shows @ self._difference[..., None])[..., 0]
+        innovation = residual - (shows @ self._hidden[..., None])[..., 0]
         root = np.linalg.cholesky(covariance)
         z = np.linalg.solve(root, innovation[..., None])[..., 0]
         self.z = np.where(known[:, None], z, np.nan)
@@ -90,7 +96,7 @@ class Expectation:
         self._detectors = np.where(known[:, None], grown, self._detectors)
         self._twist_before = np.where(known[:, None], twist, np.nan)
         self._learn_unit(known, shows, covariance, innovation)
-        under = (self.alarm >= self.limit) | (np.abs(self._difference) > self._strange_unit).any(axis=1)
+        under = (self.alarm >= self.limit) | self._is_strange
         begun = under & ~self._is_under
         self._is_under = under
         self._judge_severity(known, residual)
@@ -126,7 +132,7 @@ class Expectation:
         """Return by what residuals (V, 3) shift under each alternative, (V, 3, A)."""
         lags = np.array(self._settings.lag_shares)
         change = np.nan_to_num(self._twist_before - twist)
-        return np.concatenate([shows @ self._alternatives, change[..., None] * lags], axis=-1)
+        return np.concatenate([shows[..., : self._differences] @ self._alternatives, change[..., None] * lags], axis=-1)
 
     def _evidence(self, z: np.ndarray, shifts: np.ndarray) -> np.ndarray:
         """Return the e-values (V, A + 1) of standardised innovations (V, 3), given their shifts (V, 3, A).
@@ -141,13 +147,14 @@ class Expectation:
         return np.concatenate([ratio, other], axis=1)
 
     def _unit_changes(self, twist: np.ndarray) -> np.ndarray:
-        """Return by what twists (V, 3) change, per unit of each difference between units, (V, 3, D)."""
+        """Return by what twists (V, 3) change: per unit of each difference, and by the error, (V, 3, D + 3)."""
         changes = [twist[:, axis, None] * np.eye(3)[axis] for axis in range(3)]
         if self._track_mm:
             moved = torch.as_tensor(twist)
             apart = wheel_travel(moved, self._track_mm) * torch.tensor([[0.5, -0.5]], dtype=moved.dtype)
             changes.append(twist_of_wheels(apart, torch.zeros_like(moved), self._track_mm).numpy())
-        return np.stack(changes, axis=-1)
+        own = np.broadcast_to(np.eye(3), (len(twist), 3, 3))
+        return np.concatenate([np.stack(changes, axis=-1), own], axis=-1)
 
     def _variance(self, twist: np.ndarray, duration_s: np.ndarray) -> np.ndarray:
         """Return the variance of residual twists (V, 3): of motion, camera and the simulation itself."""
@@ -165,11 +172,28 @@ class Expectation:
             variance[:, :2] += noise.camera[2] * path2[:, None]
         return variance
 
+    def _usual_variance(self) -> np.ndarray:
+        """Return the variance of a usual residual twist, (3,)."""
+        settings, noise = self._settings, self._simulation.motion_noise
+        least = np.array([settings.least_spread_mm, settings.least_spread_mm, settings.least_spread_rad]) ** 2
+        return least if noise is None else np.maximum(least, np.add(noise.at_rest, noise.with_motion))
+
+    @property
+    def _is_strange(self) -> np.ndarray:
+        """Whether a vehicle differs from the one recorded as fabrication does not explain, (V,)."""
+        strange: np.ndarray = np.any(np.abs(self._hidden[:, : self._differences]) > self._strange_unit, axis=1)
+        return strange
+
+    def _pass_period(self, known: np.ndarray) -> None:
+        kept = self._kept * self._covariance * self._kept[:, None] + self._drifts
+        self._hidden = np.where(known[:, None], self._kept * self._hidden, self._hidden)
+        self._covariance = np.where(known[:, None, None], kept, self._covariance)
+
     def _learn_unit(self, known: np.ndarray, shows: np.ndarray, covariance: np.ndarray, innovation: np.ndarray) -> None:
-        gain = np.linalg.solve(covariance, shows @ self._covariance).transpose(0, 2, 1)  # (V, D, 3)
-        learned = self._difference + (gain @ innovation[..., None])[..., 0]
+        gain = np.linalg.solve(covariance, shows @ self._covariance).transpose(0, 2, 1)  # (V, D + 3, 3)
+        learned = self._hidden + (gain @ innovation[..., None])[..., 0]
         certain = self._covariance - gain @ shows @ self._covariance
-        self._difference = np.where(known[:, None], learned, self._difference)
+        self._hidden = np.where(known[:, None], learned, self._hidden)
         self._covariance = np.where(known[:, None, None], certain, self._covariance)
 
     def _judge_severity(self, known: np.ndarray, residual: np.ndarray) -> None:

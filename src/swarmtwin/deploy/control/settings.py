@@ -104,6 +104,9 @@ class WatchSettings(StrictModel):
         motion_spread: random part of the motion, as a share of it, beyond what the simulation states.
         least_spread_mm: the residual's standard deviation is at least this, by camera and interpolation.
         least_spread_rad: likewise for turns.
+        simulation_error: by how much the simulation itself errs, as long as vehicles go on alike (standard deviation):
+            a share of the noise that it states, since a learned model is not right everywhere.
+        error_persists: how much of that error is left one period later.
         changes: by which shares speeds or a wheel may have changed of a vehicle that is not as it was.
         lag_shares: which share of the motion before may be left in a period of a vehicle that follows gradually.
         severe_periods: a vehicle under alarm that has moved otherwise than expected for so many periods in a row
@@ -118,6 +121,8 @@ class WatchSettings(StrictModel):
     motion_spread: NotNegative = 0.05
     least_spread_mm: Positive = 0.7
     least_spread_rad: Positive = 0.01
+    simulation_error: NotNegative = 1.0
+    error_persists: Annotated[float, Field(ge=0, lt=1)] = 0.9
     changes: Annotated[tuple[float, ...], Field(min_length=1)] = (-1.0, -0.6, -0.3, -0.15, 0.2, 0.4)
     lag_shares: tuple[float, ...] = (0.2, 0.5)
     severe_periods: Count = 4
