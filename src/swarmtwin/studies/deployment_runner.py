@@ -12,6 +12,7 @@ import numpy as np
 
 from swarmtwin import __version__
 from swarmtwin.deploy.camera.camera import Camera
+from swarmtwin.deploy.camera.opening import open_camera
 from swarmtwin.deploy.control.controller import Outcome
 from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.deployment_recording import write_about, write_deployment
@@ -21,8 +22,13 @@ from swarmtwin.deploy.link.broker import Broker
 from swarmtwin.deploy.link.link import Link
 from swarmtwin.deploy.link.mqtt_link import connect
 from swarmtwin.deploy.live_view.view_process import LiveView, Scene
+from swarmtwin.deploy.tracking.calibration import Calibration
+from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_pictures import take_pictures
+from swarmtwin.deploy.tracking.tracker import Tracker
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS
+from swarmtwin.markers import marker_of
 from swarmtwin.recordings.recording import Header
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.world.rendering.canvas import COLOURS
@@ -84,7 +90,40 @@ def open_eyes(robot: Robot, vehicles: Sequence[str], arena: Arena, camera: str, 
     Raises:
         UserError: there is no such camera, its pictures show no arena, or the calibration is for others.
     """
-    raise NotImplementedError
+    eyes = open_camera(camera)
+    try:
+        pictures = take_pictures(eyes)
+        if calibration is None:
+            found = fit_calibration(pictures, robot)
+            log.info("calibrated by the arena's markers: %s", found.summary(marker_of(robot).height_mm))
+        else:
+            found = Calibration.load(calibration)
+        _check_arena(found, arena)
+        tracker = Tracker(found, robot, vehicles)
+        tracker.check(pictures[-1])
+    except BaseException:
+        eyes.close()
+        raise
+    height_mm = marker_of(robot).height_mm
+    (low_x, low_y), (high_x, high_y) = arena.low_mm, arena.high_mm
+    corners = [
+        (low_x, low_y, height_mm),
+        (high_x, low_y, height_mm),
+        (high_x, high_y, height_mm),
+        (low_x, high_y, height_mm),
+    ]
+    about = {"source": eyes.source, "calibration": found.model_dump(mode="json")}
+    return Eyes(eyes, tracker, found.to_pixels(np.array(corners)), about)
+
+
+def _check_arena(calibration: Calibration, arena: Arena) -> None:
+    """Check that a camera was calibrated for the arena that vehicles are to drive in, or for a larger one."""
+    known = calibration.arena_mm
+    if (arena.low_mm < known.low_mm).any() or (arena.high_mm > known.high_mm).any():
+        raise UserError(
+            f"the calibration is for an arena of x {list(known.x)}, y {list(known.y)} mm, and vehicles are to drive "
+            f"in x {list(arena.x)}, y {list(arena.y)}: calibrate anew, for that arena"
+        )
 
 
 def say_what_cannot_be_stopped(robot: Robot) -> None:
