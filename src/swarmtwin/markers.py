@@ -97,7 +97,9 @@ def vehicle_ids(robot: Robot, vehicles: Sequence[str], layout: ArenaMarkers | No
         if number in owners:
             raise UserError(f"vehicles {owners[number]!r} and {vehicle!r} both have marker {number}: correct {place}")
         if number in layout.ids:
-            raise UserError(f"vehicle {vehicle!r} has marker {number}, which lies on the arena's floor: correct {place}")
+            raise UserError(
+                f"vehicle {vehicle!r} has marker {number}, which lies on the arena's floor: correct {place}"
+            )
         if number >= dictionary_size(marker.dictionary):
             raise UserError(
                 f"vehicle {vehicle!r}: marker {number} is not in {marker.dictionary}, which ends at "

@@ -164,6 +164,12 @@ def test_what_a_fleet_is_told_while_it_runs(start_fleet, mosquitto, link_to):
     assert not stands(fleet, "1")
     fleet.place(STARTS)
     assert all(stands(fleet, vehicle, 0.05) for vehicle in "123")
+    before = markers(viewer.next()[2])
+    fleet.set_faults(camera=CameraFaults(swapped=(("1", "2"),), shift_px=(10.0, -5.0)))
+    time.sleep(0.2)
+    bumped = markers(viewer.next()[2])
+    for number, wearer in ((1, 2), (2, 1), (3, 3)):
+        np.testing.assert_allclose(bumped[number].mean(axis=0), np.add(before[wearer].mean(axis=0), (10, -5)), atol=0.5)
     fleet.set_faults(camera=CameraFaults(hidden={"3"}))
     time.sleep(0.2)
     assert markers(viewer.next()[2]).keys() >= {1, 2}
@@ -189,6 +195,7 @@ def test_what_a_fleet_is_told_while_it_runs(start_fleet, mosquitto, link_to):
         ("place", {"9": [0, 0, 0]}, "no vehicle '9'"),
         ("place", {"1": [0, 0]}, "write"),
         ("faults", {"robots": {"1": {"los": 1}}}, "robots.1.los"),
+        ("faults", {"camera": {"hidden": ["9"]}}, "no vehicle '9'"),
     ):
         with pytest.raises(urllib.error.HTTPError) as error:
             post(base + path, content)

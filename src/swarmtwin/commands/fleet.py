@@ -48,7 +48,7 @@ def run(options: Options) -> dict[str, Any]:
     ):
         for line in (
             f"{len(fleet.vehicles)} × {options.robot.title}: {', '.join(fleet.vehicles)}",
-            f"broker    {broker.address}",
+            f"broker    {broker.address}{_about_broker(options.broker)}",
             f"camera    {fleet.camera_url}   to look at: {fleet.camera_url.removesuffix('camera')}",
             f"firmware  {_about_firmware(fleet)}",
         ):
@@ -58,6 +58,12 @@ def run(options: Options) -> dict[str, Any]:
         except KeyboardInterrupt:
             raise KeyboardInterrupt("the emulated robots are switched off") from None
     return {"vehicles": len(fleet.vehicles), "camera": fleet.camera_url, "broker": broker.address}
+
+
+def _about_broker(asked: str) -> str:
+    if asked.partition("://")[0] != "embedded":
+        return ""
+    return "   (embedded, for a first try: it lets anybody in; for robots that matter, mosquitto)"
 
 
 def _about_firmware(fleet: Fleet) -> str:

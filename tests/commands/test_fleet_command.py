@@ -73,7 +73,7 @@ def running(tmp_path):
 def test_it_says_where_it_is_and_ends_without_a_trace(running, sign):
     process, shown = running
     assert "2 × Micro-Ground Robot: 1, 2" in shown
-    assert re.search(r"broker +mqtt://127.0.0.1:\d+\n", shown)
+    assert re.search(r"broker +mqtt://127.0.0.1:\d+   \(embedded, for a first try", shown)
     assert "a vehicle drives on when commands stop" in shown
     page = re.search(r"to look at: (\S+)", shown)[1]
     assert b"/camera" in urllib.request.urlopen(page, timeout=5).read()
