@@ -132,6 +132,15 @@ def test_vehicles_move_as_the_stand_in_does_under_the_same_commands(robots, star
     assert np.corrcoef(moved[..., 0].ravel(), expected.mean(axis=1)[..., 0].ravel())[0, 1] > 0.97
 
 
+def test_robots_with_other_commands_swim_likewise(robots, mosquitto, link_to):
+    swim = np.array([0.0, 50.0, 7.0])
+    with Fleet(robots["mur"], ("4",), mosquitto.broker, 0, start={"4": (500.0, 500.0, 0.0)}) as fleet:
+        link = link_to(mosquitto.broker, "mur")
+        drive(link, fleet, swim, "4")
+        assert wait_until(lambda: fleet.true_poses()["4"][0] > 540)
+        assert Viewer(fleet.camera_url).next()[2].shape == fleet.camera_size[::-1]
+
+
 def test_pictures_show_the_vehicles_where_they_are_when_they_are_taken(robots, start_fleet, mosquitto, link_to):
     fleet, link = start_fleet(), link_to(mosquitto.broker)
     viewer = Viewer(fleet.camera_url)

@@ -62,11 +62,13 @@ class Fleet:
         robots: the processes by vehicle.
         camera: the camera's process.
         camera_url: where its pictures are.
+        camera_size: width and height of the pictures.
     """
 
     robots: dict[str, ChildProcess]
     camera: ChildProcess
     camera_url: str
+    camera_size: tuple[int, int]
 
     def __init__(
         self,
@@ -135,6 +137,7 @@ class Fleet:
         self.camera = ChildProcess("swarmtwin.deploy.fleet.camera_process", told, (self._memory.descriptor,))
         ready = self.camera.wait_until_ready()
         self._camera_port = ready["port"]
+        self.camera_size = (ready["size"][0], ready["size"][1])
         host = "127.0.0.1" if self.settings.camera_host == "0.0.0.0" else self.settings.camera_host
         self.camera_url = f"http://{host}:{self._camera_port}/camera"
 
