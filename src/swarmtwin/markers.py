@@ -1,4 +1,4 @@
-"""Which ArUco marker is whose: those on the vehicles, and the four on the arena's floor by which a camera finds itself."""
+"""Which ArUco marker is whose: those on vehicles, and the four on the arena's floor by which a camera finds itself."""
 
 from collections.abc import Sequence
 from typing import Annotated, Self

@@ -169,7 +169,7 @@ class OverheadCamera:
         below = (1 - lift) * self.optics.place_mm[:2]
         plane_mm = self._floor_mm[rows, columns] * np.float32(lift) + below.astype(np.float32)
         seen = [sprite.seen_through(plane_mm, pose, self._rays) for pose in poses]
-        mean = seen[0] if len(seen) == 1 else np.mean(seen, axis=0, dtype=np.float32)
+        mean = np.asarray(seen[0] if len(seen) == 1 else np.mean(seen, axis=0, dtype=np.float32))
         part = scene[rows, columns]
         part[:] = mean[..., 0] + part * (1 - mean[..., 1] * np.float32(1 / 255)) + np.float32(0.5)
 
@@ -200,7 +200,7 @@ class OverheadCamera:
         first = max(0, (rows.start or 0) - reach), max(0, (columns.start or 0) - reach)
         end_row = None if rows.stop is None else rows.stop + reach
         end_column = None if columns.stop is None else columns.stop + reach
-        part = scene[first[0] : end_row, first[1] : end_column].astype(np.float32)
+        part: np.ndarray = scene[first[0] : end_row, first[1] : end_column].astype(np.float32)
         if blur_px:
             part = cv2.GaussianBlur(part, (2 * reach + 1, 2 * reach + 1), blur_px)
         cut = part[

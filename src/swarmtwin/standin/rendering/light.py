@@ -79,6 +79,6 @@ def floor_pattern(size: tuple[int, int], rng: np.random.Generator, brightness: f
     width, height = size
     coarse = rng.normal(0, 1, (max(2, height // 24), max(2, width // 24))).astype(np.float32)
     fine = rng.normal(0, 1, (max(2, height // 3), max(2, width // 3))).astype(np.float32)
-    pattern = 4 * cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
-    pattern += 3 * cv2.resize(fine, size, interpolation=cv2.INTER_LINEAR)
+    pattern: np.ndarray = 4.0 * cv2.resize(coarse, size, interpolation=cv2.INTER_CUBIC)
+    pattern = pattern + 3.0 * cv2.resize(fine, size, interpolation=cv2.INTER_LINEAR)
     return np.clip(brightness + pattern, 0, 255).astype(np.uint8)

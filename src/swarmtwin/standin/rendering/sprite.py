@@ -1,6 +1,7 @@
 """Flat printed things, such as a vehicle seen from above with its marker, laid into a picture area-true."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -61,8 +62,9 @@ class Sprite:
             (h, w, 2) brightness and coverage, as in the texture.
         """
         texels = cv2.transform(floor_mm, self.texel_map(pose).astype(np.float32))
+        no_second_map: Any = None
         rays = cv2.resize(texels, None, fx=samples, fy=samples, interpolation=cv2.INTER_LINEAR)
-        seen = cv2.remap(self.texture, rays, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        seen = cv2.remap(self.texture, rays, no_second_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         return cv2.resize(seen, texels.shape[1::-1], interpolation=cv2.INTER_AREA)
 
 
