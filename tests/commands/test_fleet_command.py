@@ -99,7 +99,7 @@ def test_it_says_where_it_is_and_ends_without_a_trace(running, sign):
         (["effects=[{name: batery_sag}]"], "did you mean 'battery_sag'"),
         (["broker=127.0.0.1"], "broker=127.0.0.1 is no address of a broker"),
         (["broker=mqtt://127.0.0.1:1"], "no broker at mqtt://127.0.0.1:1"),
-        (["password_file=nowhere", "broker=mqtt://me@127.0.0.1"], "password_file nowhere is missing"),
+        (["broker.password_file=nowhere", "broker=mqtt://me@127.0.0.1"], "broker.password_file nowhere is missing"),
     ],
 )
 def test_a_mistake_is_one_message(workplace, capsys, arguments, message):

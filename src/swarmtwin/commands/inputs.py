@@ -159,12 +159,12 @@ def _foreign(named: str, robot: Robot) -> None:
 
 def _password_file(named: str, robot: Robot | None) -> None:
     if not Path(named).is_file():
-        raise UserError(f"password_file {named} is missing: name a file whose first line is the password")
+        raise UserError(f"broker.password_file {named} is missing: name a file whose first line is the password")
 
 
 def _certificate(named: str, robot: Robot | None) -> None:
     if not Path(named).is_file():
-        raise UserError(f"ca_file {named} is missing: name the certificate of the broker's authority")
+        raise UserError(f"broker.ca_file {named} is missing: name the certificate of the broker's authority")
 
 
 INPUTS: Mapping[str, Callable[[str, Any], None]] = {
@@ -186,6 +186,6 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "open_loop": _recording,
     "path": _foreign,
     "drive": _drive,
-    "password_file": _password_file,
-    "ca_file": _certificate,
+    "broker.password_file": _password_file,
+    "broker.ca_file": _certificate,
 }

@@ -246,7 +246,7 @@ def _why_unreachable(broker: Broker, error: OSError) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return (
             f"the certificate of the broker {broker.address} is not trusted ({error.verify_message}): if the broker is "
-            "yours, name the certificate that signed it, or the broker's own: ca_file=FILE"
+            "yours, name the certificate that signed it, or the broker's own: broker.ca_file=FILE"
         )
     if isinstance(error, ssl.SSLError):
         return f"the broker {broker.address} does not speak TLS there ({error.reason}): correct the port, or mqtt://"
@@ -257,5 +257,5 @@ def _why_unreachable(broker: Broker, error: OSError) -> str:
 def _why_refused(broker: Broker, reason: str) -> str:
     if reason in ("Bad user name or password", "Not authorized"):
         who = f"user {broker.user!r} with this password" if broker.user else "a client without a user"
-        return f"it does not let in {who}: correct broker=mqtt://USER@..., password_file=FILE"
+        return f"it does not let in {who}: correct broker=mqtt://USER@..., broker.password_file=FILE"
     return f"it refuses the connection: {reason}"
