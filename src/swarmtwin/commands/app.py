@@ -136,7 +136,7 @@ def _spelled_out(name: str, arguments: list[str]) -> list[str]:
     So it is where a policy is asked for that was learned, and for which task it was: not where one is to be learned.
     Likewise broker=ADDRESS.
     """
-    if name not in ("rollout", "promote", "deploy", "collect"):
+    if name not in ("rollout", "promote", "deploy", "collect", "fleet"):
         return arguments
     spelled = {"policy": "policy.folder", "task": "task.name", "broker": "broker.address"}
     return [re.sub(r"^(policy|task|broker)=", lambda short: f"{spelled[short[1]]}=", one) for one in arguments]
