@@ -15,7 +15,7 @@ help:
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
 	@echo "make benchmark  speed and memory, as figures and ratios"
 	@echo "make data       drive the stand-in robots again: the recordings in data/, anew"
-	@echo "make dependencies  write into dvc.yaml which code each stage hangs on, after imports have changed"
+	@echo "make dependencies  write into dvc.yaml what its stages are, after they have changed"
 	@echo "make notebooks  run the notebooks and store what they show in them"
 	@echo "make fuzz, make kill  campaigns: damaged files; commands that die at random moments"
 	@echo "make lock       pin the environment as it is installed now in constraints.txt"
