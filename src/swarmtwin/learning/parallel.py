@@ -12,7 +12,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from joblib import Parallel, delayed
+from joblib import Parallel, cpu_count, delayed
 
 from swarmtwin.errors import UserError
 
@@ -28,8 +28,8 @@ class Job(Protocol[Result]):
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
+    """Return how many cores this process may use; the environment variable LOKY_MAX_CPU_COUNT may allow it fewer."""
+    return int(cpu_count())
 
 
 def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, processes: int | None) -> list[Result]:
