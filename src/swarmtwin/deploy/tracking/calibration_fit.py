@@ -103,7 +103,8 @@ def fit_calibration(
         raise UserError(
             f"the arena's markers {', '.join(map(str, layout.ids))} are not seen where they should lie: "
             f"marker {number} is off by {off_mm:.0f} mm (at most {settings.largest_error_mm:g}): "
-            "check which marker lies at which corner and how they are turned, and that size_mm, outside_mm or centres_mm are as measured"
+            "check which marker lies at which corner and how they are turned, "
+            "and that size_mm, outside_mm or centres_mm are as measured"
         )
     return problem.calibration(best)
 
