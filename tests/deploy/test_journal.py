@@ -138,7 +138,11 @@ def test_a_command_that_was_about_to_be_sent_is_a_row_and_repeated_zeros_are_one
     journal = Journal(tmp_path / JOURNAL, 2**18)
     journal.write("run", name="run_001")
     for number in range(150):
-        journal.sighting(Sighting(number, 0.02 * number, {"1": np.array([100.0 + number, 200.0 + np.sin(number), 0.1 * np.cos(number)])}))
+        journal.sighting(
+            Sighting(
+                number, 0.02 * number, {"1": np.array([100.0 + number, 200.0 + np.sin(number), 0.1 * np.cos(number)])}
+            )
+        )
     for tick in range(2):
         common = {"tick": tick, "sent": [[50.0, 60.0]], "requested": [[50.0, 60.0]], "reason": [""]}
         journal.write("sending", tick=tick, now_s=0.5 * tick, sent={"1": [50.0, 60.0]})

@@ -131,9 +131,10 @@ class CameraProcess:
             asked = TypeAdapter(dict[str, tuple[float, float, float]]).validate_json(await request.body())
         except ValidationError as error:
             return _mistake(f'write {{"1": [x_mm, y_mm, heading_rad], ...}}: {error.errors()[0]["msg"]}')
-        if strangers := sorted(set(asked) - set(self._vehicles)):
-            return _mistake(f"no vehicle {strangers[0]!r} in this fleet: {', '.join(self._vehicles)}")
-        orders = self._memory.change_orders(lambda before: before.with_placed(asked))
+        try:
+            orders = self._memory.change_orders(lambda before: before.with_placed(asked))
+        except UserError as error:
+            return _mistake(str(error))
         end_s = time.monotonic() + 2.0
         while not self._memory.have_placed(orders, asked):
             if time.monotonic() > end_s:
@@ -147,8 +148,10 @@ class CameraProcess:
         except ValidationError as error:
             first = error.errors()[0]
             return _mistake(f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
-        change = {"robots": asked.robots, "camera": asked.camera}
-        self._memory.change_orders(lambda before: before.model_copy(update=change))
+        try:
+            self._memory.change_orders(lambda before: before.with_faults(asked.robots, asked.camera))
+        except UserError as error:
+            return _mistake(str(error))
         return JSONResponse({})
 
 

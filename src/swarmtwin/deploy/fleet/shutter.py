@@ -109,10 +109,22 @@ class Shutter:
 
     def _picture(self, time_s: float) -> bytes:
         pose, velocity = self._memory.poses(time_s), self._memory.velocities(time_s)
+        wears = self._worn_markers()
         seen = np.array([conditions.seen(one) for conditions, one in zip(self._conditions, pose, strict=True)])
-        image = self._camera.render(seen, self._rng, self._faults.hidden, velocity)
+        image = self._camera.render(seen[wears], self._rng, self._faults.hidden, velocity[wears])
+        if any(self._faults.shift_px):
+            shift = np.array([[1, 0, self._faults.shift_px[0]], [0, 1, self._faults.shift_px[1]]], np.float32)
+            image = cv2.warpAffine(image, shift, self.size, borderMode=cv2.BORDER_REPLICATE)
         _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.quality])
         return np.asarray(jpeg).tobytes()
+
+    def _worn_markers(self) -> list[int]:
+        """Return for each marker (V,) the index of the vehicle that wears it."""
+        names = list(self._camera.vehicles)
+        for one, other in self._faults.swapped:
+            here, there = names.index(one), names.index(other)
+            names[here], names[there] = names[there], names[here]
+        return [self._camera.vehicles.index(name) for name in names]
 
     def _look_at_orders(self) -> None:
         number = self._memory.orders_number
