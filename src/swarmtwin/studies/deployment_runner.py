@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtwin import __version__
-from swarmtwin.deploy.camera.camera import Camera, CameraLostError
+from swarmtwin.deploy.camera.camera import Camera
 from swarmtwin.deploy.camera.opening import open_camera
 from swarmtwin.deploy.control.controller import Outcome
 from swarmtwin.deploy.control.deployment import Deployment, Plan
@@ -24,9 +24,11 @@ from swarmtwin.deploy.link.mqtt_link import connect
 from swarmtwin.deploy.live_view.view_process import LiveView, Scene
 from swarmtwin.deploy.tracking.calibration import Calibration
 from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_pictures import take_pictures
 from swarmtwin.deploy.tracking.tracker import Tracker
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS
+from swarmtwin.markers import marker_of
 from swarmtwin.recordings.recording import Header
 from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.world.rendering.canvas import COLOURS
@@ -74,49 +76,40 @@ def open_eyes(robot: Robot, vehicles: Sequence[str], arena: Arena, camera: str, 
     Raises:
         UserError: there is no such camera, its pictures show no arena, or the calibration is for others.
     """
-    opened = open_camera(camera)
+    eyes = open_camera(camera)
     try:
-        if not opened.is_live:
-            raise UserError(
-                f"camera={camera} is {opened.source}, in which no vehicle can be driven: give a live camera"
-            )
-        pictures = take_pictures(opened, 1 if calibration else 12)
-        known = Calibration.load(calibration) if calibration else fit_calibration(pictures, robot)
-        if known.arena_mm != arena:
-            raise UserError(
-                f"the calibration is for arena {known.arena_mm}, and the fence would be {arena}: calibrate anew"
-            )
-        tracker = Tracker(known, robot, vehicles)
+        pictures = take_pictures(eyes)
+        if calibration is None:
+            found = fit_calibration(pictures, robot)
+            log.info("calibrated by the arena's markers: %s", found.summary(marker_of(robot).height_mm))
+        else:
+            found = Calibration.load(calibration)
+        _check_arena(found, arena)
+        tracker = Tracker(found, robot, vehicles)
         tracker.check(pictures[-1])
     except BaseException:
-        opened.close()
+        eyes.close()
         raise
-    low, high = arena.low_mm, arena.high_mm
-    corners_mm = np.array([[low[0], low[1], 0], [high[0], low[1], 0], [high[0], high[1], 0], [low[0], high[1], 0]])
-    about = {"source": opened.source, "calibration": known.model_dump(mode="json")}
-    return Eyes(opened, tracker, known.to_pixels(corners_mm), about)
+    height_mm = marker_of(robot).height_mm
+    (low_x, low_y), (high_x, high_y) = arena.low_mm, arena.high_mm
+    corners = [
+        (low_x, low_y, height_mm),
+        (high_x, low_y, height_mm),
+        (high_x, high_y, height_mm),
+        (low_x, high_y, height_mm),
+    ]
+    about = {"source": eyes.source, "calibration": found.model_dump(mode="json")}
+    return Eyes(eyes, tracker, found.to_pixels(np.array(corners)), about)
 
 
-def take_pictures(camera: Camera, count: int, timeout_s: float = 3.0) -> list[np.ndarray]:
-    """Return some pictures in a row.
-
-    Raises:
-        UserError: the camera gives none.
-    """
-    pictures: list[np.ndarray] = []
-    number = -1
-    while len(pictures) < count:
-        try:
-            frame = camera.next_frame(number, timeout_s)
-        except CameraLostError as error:
-            raise UserError(f"{error}: look at the camera") from None
-        if frame is None:
-            break
-        number = frame.number
-        pictures.append(frame.image)
-    if not pictures:
-        raise UserError(f"{camera.source} gives no pictures: look at the camera")
-    return pictures
+def _check_arena(calibration: Calibration, arena: Arena) -> None:
+    """Check that a camera was calibrated for the arena that vehicles are to drive in, or for a larger one."""
+    known = calibration.arena_mm
+    if (arena.low_mm < known.low_mm).any() or (arena.high_mm > known.high_mm).any():
+        raise UserError(
+            f"the calibration is for an arena of x {list(known.x)}, y {list(known.y)} mm, and vehicles are to drive "
+            f"in x {list(arena.x)}, y {list(arena.y)}: calibrate anew, for that arena"
+        )
 
 
 def say_what_cannot_be_stopped(robot: Robot) -> None:

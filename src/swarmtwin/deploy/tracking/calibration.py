@@ -133,6 +133,14 @@ class Calibration(StrictModel):
         seen = self.to_pixels(middle + np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
         return float(1 / np.sqrt(abs(np.linalg.det(seen[1:] - seen[0]))))
 
+    def summary(self, marker_height_mm: float) -> str:
+        """Return in words where the camera hangs and how sure that is, for vehicles whose markers are so high."""
+        way = ", mirrored" if self.mirrored else ""
+        return (
+            f"camera {self.camera_mm[2]:.0f} mm above the floor{way}, {self.mm_per_pixel(marker_height_mm):.2f} mm a "
+            f"pixel, floor's corners {self.reprojection_px:.2f} px off, vehicles to about {self.uncertainty_mm:.1f} mm"
+        )
+
     def check_size(self, size: tuple[int, int]) -> None:
         """Check that pictures of a width and height are those that it is for.
 

@@ -258,7 +258,7 @@ def _look(pictures: Sequence[np.ndarray], robot: Robot, layout: ArenaMarkers, se
     if missing := [str(number) for number, seen in floor.items() if not seen]:
         raise UserError(
             f"{4 - len(missing)} of the arena's four markers are seen, and not {', '.join(missing)} of "
-            f"{marker.dictionary}: see that nothing covers them, that they lie within the picture, flat and in even light"
+            f"{marker.dictionary}: see that nothing covers them and that they lie flat and in even light"
         )
     floor_px = np.concatenate([np.median(seen, axis=0) for seen in floor.values()])
     return _Seen(floor_px, _of_stated_size(vehicles, floor_px, marker.size_mm, layout, settings), sizes.pop(), mirrored)

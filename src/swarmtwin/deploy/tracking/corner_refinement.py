@@ -12,9 +12,9 @@ class CornerRefinement:
     """Moves a marker's corners so that its printed picture fits what is seen best.
 
     The region is resampled into the marker's own frame and the affine map that is left found with `findTransformECC`
-    (Evangelidis and Psarakis, 2008), which does not mind brightness and contrast. All edges of the marker take part, and
-    not just four corners. The start is the parallelogram nearest to the corners, so that their errors make no perspective
-    that an affine map could not undo; within one marker true perspective is negligible.
+    (Evangelidis and Psarakis, 2008), which does not mind brightness and contrast. All edges of the marker take part,
+    and not just four corners. The start is the parallelogram nearest to the corners, so that their errors make no
+    perspective that an affine map could not undo; within one marker true perspective is negligible.
     """
 
     def __init__(
