@@ -6,18 +6,19 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data notebooks dependencies lock queue fuzz kill
+.PHONY: help setup run test benchmark lint ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
 	@echo "make lint       set up, check style and types"
+	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
 	@echo "make benchmark  speed and memory, as figures and ratios"
 	@echo "make data       drive the stand-in robots again: the recordings in data/, anew"
 	@echo "make dependencies  write into dvc.yaml what its stages are, after they have changed"
 	@echo "make notebooks  run the notebooks and store what they show in them"
-	@echo "make fuzz, make kill  campaigns: damaged files; commands that die at random moments"
+	@echo "make fuzz, kill, faults  campaigns: damaged files; commands that die at random moments; deployments with faults"
 	@echo "make lock       pin the environment as it is installed now in constraints.txt"
 
 setup: .venv/installed
@@ -121,3 +122,19 @@ dependencies: setup
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > constraints.txt
+
+DEMO := artifacts/demo
+DEMO_POLICY = $(firstword $(wildcard artifacts/policies/mgr/collective) src/swarmtwin/deploy/bundled/policy)
+DEMO_SIMULATION = $(firstword $(wildcard artifacts/dynamics/mgr/crnet_synthetic) src/swarmtwin/deploy/bundled/simulation)
+demo: setup  # broker, five emulated robots and their camera; a policy drives them to their target; a film is left
+	@$(BIN)/swarmtwin fleet robot=mgr vehicles=5 broker=embedded://127.0.0.1:18883 camera_port=18090 duration_s=200 & fleet=$$!; \
+	trap 'kill -TERM $$fleet 2>/dev/null; wait $$fleet' EXIT; \
+	for try in $$(seq 120); do \
+	  $(BIN)/python -c 'from urllib.request import urlopen; urlopen("http://127.0.0.1:18090/", timeout=1)' 2>/dev/null && break; \
+	  kill -0 $$fleet 2>/dev/null || exit 1; sleep 0.5; done; \
+	$(BIN)/swarmtwin deploy robot=mgr policy=$(DEMO_POLICY) simulation=$(DEMO_SIMULATION) broker=mqtt://127.0.0.1:18883 \
+	  camera=http://127.0.0.1:18090/camera video=true output=$(DEMO) overwrite=true && \
+	echo "film: $(DEMO)/deployment.mp4"
+
+faults: setup  # faults brought into running deployments, on a real mosquitto (apt install mosquitto); likewise
+	$(BIN)/python tests/campaigns/faults.py --count $(or $(COUNT),1000) --seed $(or $(SEED),1) --state outputs/faults.jsonl

@@ -29,13 +29,15 @@ def test_the_shipped_robots_are_those_of_the_design(robots):
 
 def test_yaml_and_python_give_the_same_robot(robots):
     again = Robot.parse(robots["mgr"].model_dump(mode="json"), "memory")
-    assert again == robots["mgr"]
+    assert again == robots["mgr"].without_hardware
     np.testing.assert_array_equal(again.displacement_limit, [50, 25, 1.4])
 
 
 def test_a_robot_of_ones_own_is_one_file(tmp_path):
     command = {name: {"low": 0, "high": 1, "unit": "1"} for name in ("port", "starboard")}
-    robot = Robot.load(changed(tmp_path, name="mine", command=command))
+    fields = {name: {"key": name} for name in command}
+    link = {"command_topic": "boats/{vehicle}", "fields": fields}
+    robot = Robot.load(changed(tmp_path, name="mine", command=command, link=link))
     assert robot.command_columns == ("port", "starboard")
 
 
@@ -57,6 +59,10 @@ def test_a_robot_of_ones_own_is_one_file(tmp_path):
         (
             {"kinematics": "tail_fin"},
             "kinematics 'tail_fin' wants 3 command columns, not 2 (left, right): correct one of the two",
+        ),
+        (
+            {"link": {"command_topic": "t", "fields": {"left": {"key": "L"}}}},
+            "link.fields must name the command columns",
         ),
         (
             {"command": {"thrust": {"low": 0, "high": 1, "unit": "1"}}},

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from swarmtwin import kinematics
 from swarmtwin.errors import UserError, near_miss
+from swarmtwin.hardware import LinkFormat, Marker
 from swarmtwin.kinematics import Actuators, KinematicEquations
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.plugins import PluginRegistry
@@ -89,6 +90,9 @@ class Robot(StrictModel):
         actuators: what moves it; null: as usual for its kinematics.
         unit_spread: by which share the actuators of two units of this robot differ (standard deviation), where a lab
             has measured it; null: a diagnosis estimates it from the units of its reference, or takes a generic one.
+        link: how it is spoken to; null: it cannot be deployed. Like `marker` it is the lab's and not the model's: what
+            is learned or stored of a robot does not contain it.
+        marker: how the camera sees it; null: it cannot be tracked.
     """
 
     name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
@@ -103,6 +107,8 @@ class Robot(StrictModel):
     vehicle_size_mm: tuple[Positive, Positive]
     actuators: Actuators | None = None
     unit_spread: Annotated[float, Field(gt=0, lt=0.5)] | None = None
+    link: Annotated[LinkFormat | None, Field(exclude=True)] = None
+    marker: Annotated[Marker | None, Field(exclude=True)] = None
 
     @field_validator("kinematics")
     @classmethod
@@ -126,6 +132,8 @@ class Robot(StrictModel):
                 f"kinematics {self.kinematics!r} wants {wanted} command columns, not {len(self.command)} "
                 f"({', '.join(self.command)}): correct one of the two"
             )
+        if self.link and tuple(self.link.fields) != self.command_columns:
+            raise ValueError(f"link.fields must name the command columns in their order: {', '.join(self.command)}")
         return self
 
     @classmethod
@@ -143,6 +151,11 @@ class Robot(StrictModel):
         except yaml.YAMLError as error:
             raise UserError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
         return cls.parse(content, str(path))
+
+    @property
+    def without_hardware(self) -> "Robot":
+        """The robot as models know it: how it is spoken to and seen left out."""
+        return self.model_copy(update={"link": None, "marker": None})
 
     def kinematic_equations(self) -> KinematicEquations:
         """Return the equations that its kinematics names."""
@@ -172,6 +185,11 @@ class Robot(StrictModel):
     def command_high(self) -> np.ndarray:
         """Upper command limits, (m,)."""
         return np.array([column.high for column in self.command.values()])
+
+    @property
+    def command_at_rest(self) -> np.ndarray:
+        """The command nearest to zero, (m,): what a vehicle is told that is to stand still."""
+        return np.clip(0.0, self.command_low, self.command_high)
 
     @property
     def displacement_limit(self) -> np.ndarray:

@@ -107,7 +107,10 @@ def test_promoting_the_champion_again_changes_nothing(promote, workshop, crown):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["policy_gate.rollouts=99"], "99 roll-outs are too few to judge a policy by: ask for 100 or more"),
+        (
+            ["policy_gate.rollouts=99"],
+            "99 roll-outs on stand-ins are too few to judge a policy by: ask for 100 or more",
+        ),
         (["policy_gate.vehicles=[2]"], "vehicles=[2] are 1, task 'collective' is for 2: give 2 ids, or none"),
         (["robot=mur"], "seeker is a policy of robot 'mgr': add robot=mgr"),
         (["candidate=9"], "no registered model 'mgr-policy'"),

@@ -107,7 +107,8 @@ def test_a_policy_that_is_truly_worse_by_more_than_the_margin_seldom_passes():
 
 
 def test_too_few_rollouts_judge_no_policy():
-    with pytest.raises(UserError, match="99 roll-outs are too few to judge a policy by: ask for 100 or more"):
+    expected = "99 roll-outs on stand-ins are too few to judge a policy by: ask for 100 or more"
+    with pytest.raises(UserError, match=expected):
         judge_policy(trials(99, count=99), None, **DEMANDS)
 
 
@@ -134,3 +135,19 @@ def test_an_equal_policy_rarely_challenges():
         pair = (Trials(rng.random(100) < 0.9, rng.random(100) < 0.03, rng.normal(-1, 0.1, 100)) for _ in range(2))
         passed += judge_challenging_policy(*pair, seed=seed).passed
     assert passed / 200 <= 0.09  # two chances of nominally 2.5 %, plus three standard errors of 200 draws
+
+
+def test_policies_that_did_not_begin_alike_are_compared_as_two_samples():
+    """An equal policy, deployed as often but not from the same starts, is rarely found better or worse by a margin."""
+    beaten = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        candidate, champion = (
+            Trials(rng.random(60) < 0.9, np.zeros(60, bool), np.zeros(60), "deployments", paired=False)
+            for _ in range(2)
+        )
+        verdict = judge_policy(candidate, champion, **DEMANDS | {"margin": 0.0}, fewest_rollouts=20, seed=seed)
+        low = float(verdict.found.split("interval ")[1].split("%")[0]) / 100
+        beaten += low > 0
+    assert beaten / 200 <= 0.06
+    assert "of 60 deployments" in verdict.found

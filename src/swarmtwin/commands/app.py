@@ -137,11 +137,12 @@ def _spelled_out(name: str, arguments: list[str]) -> list[str]:
     """Turn policy=FOLDER and task=NAME into policy.folder= and task.name=: Hydra would look for them in conf/policy/.
 
     So it is where a policy is asked for that was learned, and for which task it was: not where one is to be learned.
+    Likewise broker=ADDRESS.
     """
-    if name not in ("rollout", "promote"):
+    if name not in ("rollout", "promote", "deploy", "collect", "fleet"):
         return arguments
-    spelled = {"policy": "policy.folder", "task": "task.name"}
-    return [re.sub(r"^(policy|task)=", lambda short: f"{spelled[short[1]]}=", argument) for argument in arguments]
+    spelled = {"policy": "policy.folder", "task": "task.name", "broker": "broker.address"}
+    return [re.sub(r"^(policy|task|broker)=", lambda short: f"{spelled[short[1]]}=", one) for one in arguments]
 
 
 def _system_remedy(error: OSError) -> str | None:

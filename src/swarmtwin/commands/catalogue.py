@@ -48,6 +48,13 @@ COMMANDS = {
         "a policy from the same starts in the simulation and on stand-ins, side by side",
         Ranking(("stand_in_success",), True),
     ),
+    "collect": Command("collect", "real vehicles drive under an overhead camera; a recording results"),
+    "deploy": Command(
+        "deploy",
+        "a policy drives real vehicles under an overhead camera, safely; a recording results",
+        Ranking(("robots_reward",), True),
+    ),
+    "fleet": Command("fleet", "emulated robots on a real broker, under an emulated camera"),
     "promote": Command("promote", "make a registered model the champion, if it passes the gate; or roll back"),
     "experiment": Command("experiment", "a table or figure of the paper, or an overview of the pipeline"),
 }

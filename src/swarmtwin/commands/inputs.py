@@ -157,6 +157,16 @@ def _foreign(named: str, robot: Robot) -> None:
         raise UserError(f"there is nothing at path={named}: name what is to be imported")
 
 
+def _password_file(named: str, robot: Robot | None) -> None:
+    if not Path(named).is_file():
+        raise UserError(f"broker.password_file {named} is missing: name a file whose first line is the password")
+
+
+def _certificate(named: str, robot: Robot | None) -> None:
+    if not Path(named).is_file():
+        raise UserError(f"broker.ca_file {named} is missing: name the certificate of the broker's authority")
+
+
 INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "from": _generator,
     "simulation": _model,
@@ -176,4 +186,6 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "open_loop": _recording,
     "path": _foreign,
     "drive": _drive,
+    "broker.password_file": _password_file,
+    "broker.ca_file": _certificate,
 }

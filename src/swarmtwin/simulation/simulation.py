@@ -56,8 +56,7 @@ class Simulation(nn.Module):
         if residual:
             needed |= set(residual.inputs)
         self.inputs: tuple[SituationPart, ...] = tuple(part for part in ALL_PARTS if part in needed)
-        low, high = (torch.as_tensor(limits) for limits in (self.robot.command_low, self.robot.command_high))
-        self.command_at_rest = torch.zeros(len(low), dtype=torch.float64).clamp(low, high)
+        self.command_at_rest = torch.from_numpy(self.robot.command_at_rest)
 
     @property
     def is_extended(self) -> bool:

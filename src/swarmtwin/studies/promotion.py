@@ -6,6 +6,7 @@ they do on stand-ins from the same starts, each with the champion of its own tas
 `tracking/gate.py`.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,7 @@ from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import load_simulation
+from swarmtwin.studies.deployed_trials import deployed_trials
 from swarmtwin.studies.rollout_runner import on_stand_ins, other_vehicles
 from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import gate, registry
@@ -45,6 +47,8 @@ class PolicyGate(StrictModel):
         most_collisions: the share in which vehicles collide must be below this.
         margin: how much less success than the champion's can be put up with, as a share of the roll-outs.
         other_settings: whether the champion may be one for the same task with other settings, not compared with.
+        deployments: folders that `deploy` left, by which policies are judged instead of stand-ins: each by its own.
+        fewest_deployments: of the candidate, and of a champion that it is compared with.
     """
 
     vehicles: Vehicles
@@ -54,6 +58,8 @@ class PolicyGate(StrictModel):
     most_collisions: Share
     margin: Share
     other_settings: bool
+    deployments: tuple[Path, ...] | None = None
+    fewest_deployments: Annotated[int, Field(ge=1)] = 20
 
 
 def promote(
@@ -214,11 +220,13 @@ def _common(first: Recording, second: Recording) -> Recording:
 def judge_policies(
     candidate: registry.Version, champion: registry.Version | None, robot: Robot, asked: PolicyGate
 ) -> gate.PolicyVerdict:
-    """Roll out both on stand-ins from the same starts, and judge.
+    """Roll out both on stand-ins from the same starts, or look at how they were deployed, and judge.
+
+    A champion that was never deployed is not compared with.
 
     Raises:
         RefusedError: the champion's task has other settings.
-        UserError: there are too few roll-outs.
+        UserError: there are too few roll-outs or deployments.
     """
     policy = load_policy(candidate.folder(), robot)
     rival = load_policy(champion.folder(), robot) if champion else None
@@ -230,12 +238,17 @@ def judge_policies(
                 "policy_gate.other_settings=true to replace it without a comparison"
             )
         rival = None
+    if asked.deployments is None:
+        trials = [_trials(one, asked) for one in (policy, rival) if one]
+    else:
+        trials = _trials_deployed([one for one in (policy, rival) if one], robot, asked)
     return gate.judge_policy(
-        _trials(policy, asked),
-        _trials(rival, asked) if rival else None,
+        trials[0],
+        trials[1] if len(trials) > 1 else None,
         least_success=asked.least_success,
         most_collisions=asked.most_collisions,
         margin=asked.margin,
+        fewest_rollouts=100 if asked.deployments is None else asked.fewest_deployments,
     )
 
 
@@ -244,6 +257,27 @@ def _task_difference(rival: StoredPolicy, policy: StoredPolicy) -> str:
     theirs, ours = rival.task.model_dump(), policy.task.model_dump()
     setting = next(name for name in ours if ours[name] != theirs.get(name))
     return f"{setting} {theirs.get(setting)!r} in place of {ours[setting]!r}"
+
+
+def _trials_deployed(policies: Sequence[StoredPolicy], robot: Robot, asked: PolicyGate) -> list[gate.Trials]:
+    """Return the deployments of the candidate, and of the champion where it was deployed."""
+    found = deployed_trials(asked.deployments or (), robot)
+    trials: list[gate.Trials] = []
+    for policy in policies:
+        own = found.get(registry.folder_digest(policy.folder))
+        if own is None and not trials:
+            raise UserError(
+                f"none of the {len(asked.deployments or ())} deployments is one of {policy.folder}: deploy it, and "
+                "name the folders, policy_gate.deployments=[...]"
+            )
+        if own is not None:
+            trials.append(own)
+    if len(trials) > 1 and (count := len(trials[1].succeeded)) < asked.fewest_deployments:
+        raise UserError(
+            f"{count} deployments of the champion are too few to compare with: name {asked.fewest_deployments} or "
+            "more, or none"
+        )
+    return trials
 
 
 def _trials(policy: StoredPolicy, asked: PolicyGate) -> gate.Trials:

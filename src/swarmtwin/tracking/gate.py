@@ -100,11 +100,15 @@ class Trials:
         succeeded: (W,) bool.
         collided: (W,) bool.
         reward: (W,) mean reward a vehicle and step.
+        what: they were, in words.
+        paired: whether they began where the other policy's did, in the same order.
     """
 
     succeeded: np.ndarray
     collided: np.ndarray
     reward: np.ndarray
+    what: str = "roll-outs on stand-ins"
+    paired: bool = True
 
 
 @dataclass(frozen=True)
@@ -141,11 +145,11 @@ def judge_policy(
     resamples: int = 2000,
     seed: int = 0,
 ) -> PolicyVerdict:
-    """Judge a policy by its roll-outs, and against the champion's from the same starts, in the same order.
+    """Judge a policy by its roll-outs, and against the champion's, from the same starts in the same order if paired.
 
     It passes if its estimated success is high enough, its estimated collisions are few enough, and it is measurably not
-    worse than the champion: the whole 95 % interval of the change of success, by bootstrap over pairs of roll-outs,
-    lies above the margin.
+    worse than the champion: the whole 95 % interval of the change of success, by bootstrap over pairs of roll-outs, or
+    over each policy's own where they are not paired, lies above the margin.
 
     Args:
         candidate: its roll-outs.
@@ -162,16 +166,17 @@ def judge_policy(
     """
     count = len(candidate.succeeded)
     if count < fewest_rollouts:
-        raise UserError(f"{count} roll-outs are too few to judge a policy by: ask for {fewest_rollouts} or more")
+        raise UserError(f"{count} {candidate.what} are too few to judge a policy by: ask for {fewest_rollouts} or more")
     success, collisions = float(candidate.succeeded.mean()), float(candidate.collided.mean())
-    found = f"success {success:.1%}, collisions {collisions:.1%} of {count} roll-outs on stand-ins"
+    found = f"success {success:.1%}, collisions {collisions:.1%} of {count} {candidate.what}"
     refusals = []
     if success < least_success:
         refusals.append(f"success is below {least_success:.0%}")
     if collisions >= most_collisions:
         refusals.append(f"collisions are not below {most_collisions:.0%}")
     if champion is not None:
-        change, low, high = _change(candidate.succeeded, champion.succeeded, resamples, seed)
+        compare = _change if candidate.paired and champion.paired else _change_between
+        change, low, high = compare(candidate.succeeded, champion.succeeded, resamples, seed)
         found += f", success {change:+.1%} against the champion (95 % interval {low:+.1%} to {high:+.1%})"
         if low < -margin:
             refusals.append(f"it may be worse than the champion by more than {margin:.0%}")
@@ -220,3 +225,14 @@ def _change(after: np.ndarray, before: np.ndarray, resamples: int, seed: int) ->
     drawn = np.random.default_rng(seed).integers(0, len(change), (resamples, len(change)))
     low, high = np.quantile(change[drawn].mean(axis=1), [0.025, 0.975])
     return _Change(float(change.mean()), float(low), float(high))
+
+
+def _change_between(after: np.ndarray, before: np.ndarray, resamples: int, seed: int) -> _Change:
+    """Return by how much the mean of (W,) is above that of others (U,), with its 95 % interval by bootstrap of each."""
+    rng = np.random.default_rng(seed)
+    means = [
+        values.astype(float)[rng.integers(0, len(values), (resamples, len(values)))].mean(axis=1)
+        for values in (after, before)
+    ]
+    low, high = np.quantile(means[0] - means[1], [0.025, 0.975])
+    return _Change(float(after.mean() - before.mean()), float(low), float(high))

@@ -82,7 +82,7 @@ class World:
         self.motion = motion
         self.worlds = worlds
         self._rng = np.random.default_rng(seed)
-        self._resting_command = np.clip(0.0, self.robot.command_low, self.robot.command_high)
+        self._resting_command = self.robot.command_at_rest
         self.reset()
 
     @property

@@ -1,0 +1,1 @@
+"""From a policy to the robots and back: a camera sees them, a controller commands them, a recording results."""

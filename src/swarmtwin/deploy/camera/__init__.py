@@ -1,0 +1,1 @@
+"""Pictures and when they were taken."""

@@ -1,0 +1,1 @@
+"""From pictures to poses in the arena."""

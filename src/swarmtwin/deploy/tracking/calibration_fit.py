@@ -1,0 +1,308 @@
+"""A calibration from pictures of the arena's four markers and of vehicles on it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+
+from swarmtwin.deploy.tracking.calibration import Calibration, Lens
+from swarmtwin.deploy.tracking.corner_refinement import CornerRefinement
+from swarmtwin.deploy.tracking.marker_detection import MarkerDetector, SeenMarker, grey_of, side_px
+from swarmtwin.deploy.tracking.rigid_fit import fitted_square
+from swarmtwin.errors import UserError
+from swarmtwin.markers import ArenaMarkers, marker_of, square_corners_mm
+from swarmtwin.robot import Robot
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """What the fit takes for granted.
+
+    Attributes:
+        corner_px: standard error of a corner, small unknown bends of paper and lens included.
+        spread_px: standard deviation of how much too far outside all corners seem to lie: blur and light make dark
+            things larger or smaller.
+        centre_share: standard deviation of the optical axis from the picture's middle, in widths of the picture.
+        k1: standard deviation of the radial distortion among lenses.
+        log_focal: standard deviation of the logarithm of the focal length among cameras, in widths of the picture.
+        usual_focal: its median.
+        camera_height_share: standard error of a camera's height that was measured by hand.
+        largest_error_mm: a fit from which the floor's corners deviate more (root mean square) is refused.
+        size_share: a vehicle's marker that seems larger or smaller than stated by more is no vehicle's.
+        most_poses: of each vehicle that take part.
+        moved_px: a vehicle that has not moved so far has the same pose still.
+    """
+
+    corner_px: float = 0.03
+    spread_px: float = 0.2
+    centre_share: float = 0.02
+    k1: float = 0.15
+    log_focal: float = 0.6
+    usual_focal: float = 1.1
+    camera_height_share: float = 0.005
+    largest_error_mm: float = 4.0
+    size_share: float = 0.25
+    most_poses: int = 12
+    moved_px: float = 1.0
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the pictures show: the floor's corners (16, 2) in px, and those (S, 4, 2) of vehicles' markers."""
+
+    floor_px: np.ndarray
+    vehicles_px: np.ndarray
+    size: tuple[int, int]
+    mirrored: bool
+
+
+def fit_calibration(
+    pictures: Sequence[np.ndarray],
+    robot: Robot,
+    layout: ArenaMarkers | None = None,
+    lens: Lens | None = None,
+    camera_height_mm: float | None = None,
+    settings: FitSettings | None = None,
+) -> Calibration:
+    """Find out where a camera hangs from several of its pictures.
+
+    The corners of the arena's four markers, averaged over the pictures, give pose and lens; how large and how square
+    the vehicles' raised markers look wherever they stand gives the rest: above all the camera's height, by which a
+    raised marker is displaced. What both leave open is held near what is usual. Whether a picture is turned or mirrored
+    is found out from the markers.
+
+    Args:
+        pictures: (H, W) or (H, W, 3) uint8, of one camera that does not move; vehicles may.
+        robot: whose vehicles are seen, with its arena.
+        layout: the arena's markers; None: as the defaults say.
+        lens: known from a board; None: it is fitted.
+        camera_height_mm: above the floor, as measured by hand; None: nobody has.
+        settings: see there.
+
+    Raises:
+        UserError: fewer than four of the arena's markers are seen, one of them twice, the pictures differ in size, or
+            the markers do not lie where they should.
+    """
+    settings, layout = settings or FitSettings(), layout or ArenaMarkers()
+    seen = _look(pictures, robot, layout, settings)
+    if lens is not None and tuple(lens.image_size) != seen.size:
+        raise UserError(f"the lens was measured on pictures of {lens.image_size}, and these are {seen.size}")
+    problem = _Problem(seen, robot, layout, lens, camera_height_mm, settings)
+    best = min(
+        (problem.solve(focal) for focal in (0.6, 1.0, 1.8, 3.2)),
+        key=lambda solution: float(solution.cost),
+    )
+    calibration = problem.calibration(best)
+    error_mm = calibration.reprojection_px * calibration.mm_per_pixel()
+    if error_mm > settings.largest_error_mm:
+        raise UserError(
+            f"the arena's markers {', '.join(map(str, layout.ids))} are not seen where they should lie, by "
+            f"{error_mm:.1f} mm (at most {settings.largest_error_mm:g}): {problem.worst_marker(calibration)} is the "
+            "farthest off: check which marker lies at which corner, how they are turned, their size_mm and centres_mm"
+        )
+    return calibration
+
+
+class _Problem:
+    """The least-squares problem.
+
+    Its unknowns are how far outside corners seem to lie, the pose (6), and where the lens is not known the logarithm of
+    its focal length, its centre (2) and k1.
+    """
+
+    def __init__(
+        self,
+        seen: _Seen,
+        robot: Robot,
+        layout: ArenaMarkers,
+        lens: Lens | None,
+        camera_height_mm: float | None,
+        settings: FitSettings,
+    ) -> None:
+        self._seen, self._robot, self._layout, self._lens = seen, robot, layout, lens
+        self._camera_height_mm, self._settings = camera_height_mm, settings
+        self._marker = marker_of(robot)
+        floor = np.concatenate(list(layout.corners_mm(robot.arena_mm).values()))
+        self._floor_mm = np.column_stack([floor, np.zeros(len(floor))])
+        self._mm_per_px = layout.size_mm / side_px(seen.floor_px[:4])
+
+    def solve(self, focal_widths: float) -> OptimizeResult:
+        """Search from a focal length, in widths of the picture, and from the pose that belongs to it."""
+        width, height = self._seen.size
+        middle = np.array([width - 1, height - 1]) / 2
+        focal = focal_widths * width
+        matrix = (
+            np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]) if not self._lens else self._lens.matrix
+        )
+        bends = np.array(self._lens.distortion) if self._lens else np.zeros(5)
+        _, turned, moved = cv2.solvePnP(self._floor_mm, self._seen.floor_px, matrix, bends, flags=cv2.SOLVEPNP_IPPE)
+        start = np.concatenate([[0.0], turned.ravel(), moved.ravel()])
+        if self._lens is None:
+            start = np.concatenate([start, [np.log(focal), *middle, 0.0]])
+        return least_squares(self._residuals, start, x_scale=self._scale(), method="trf", max_nfev=60)
+
+    def calibration(self, solution: OptimizeResult) -> Calibration:
+        """Return the solution as a calibration, with how sure it is."""
+        draft = self._at(solution.x)
+        off = draft.to_pixels(self._floor_mm) - self._floor_px(solution.x[0])
+        return draft.model_copy(
+            update={
+                "reprojection_px": float(np.sqrt((off**2).sum(axis=1).mean())),
+                "uncertainty_mm": self._uncertainty_mm(solution, draft),
+            }
+        )
+
+    def worst_marker(self, calibration: Calibration) -> str:
+        """Return the marker on the floor that deviates most, in words."""
+        off = (
+            np.linalg.norm(calibration.to_pixels(self._floor_mm) - self._floor_px(), axis=1).reshape(4, 4).mean(axis=1)
+        )
+        return f"marker {self._layout.ids[int(off.argmax())]}"
+
+    def _floor_px(self, spread_px: float = 0.0) -> np.ndarray:
+        """Return where the floor's corners (16, 2) were seen on the pictures as they came, drawn in by `spread_px`."""
+        return self._as_came(_drawn_in(self._seen.floor_px.reshape(4, 4, 2), spread_px)).reshape(16, 2)
+
+    def _as_came(self, pixels: np.ndarray) -> np.ndarray:
+        return np.array([self._seen.size[0] - 1, 0]) + pixels * [-1, 1] if self._seen.mirrored else pixels
+
+    def _scale(self) -> np.ndarray:
+        pose = [0.05] + [0.01] * 3 + [10.0] * 3
+        return np.array(pose if self._lens else [*pose, 0.01, 5.0, 5.0, 0.02])
+
+    def _at(self, numbers: np.ndarray) -> Calibration:
+        lens = self._lens
+        if lens is None:
+            focal = float(np.exp(numbers[7]))
+            lens = Lens.model_construct(
+                image_size=self._seen.size,
+                focal_px=(focal, focal),
+                centre_px=(float(numbers[8]), float(numbers[9])),
+                distortion=(float(numbers[10]), 0.0, 0.0, 0.0, 0.0),
+            )
+        return Calibration.model_construct(
+            lens=lens,
+            rotation_rad=tuple(numbers[1:4].tolist()),
+            translation_mm=tuple(numbers[4:7].tolist()),
+            mirrored=self._seen.mirrored,
+            arena_mm=self._robot.arena_mm,
+            layout=self._layout,
+            reprojection_px=0.0,
+            uncertainty_mm=0.0,
+        )
+
+    def _residuals(self, numbers: np.ndarray) -> np.ndarray:
+        """Return deviations in standard errors."""
+        settings, calibration = self._settings, self._at(numbers)
+        off_px = calibration.to_pixels(self._floor_mm) - self._floor_px(numbers[0])
+        parts = [off_px.ravel() / settings.corner_px, numbers[:1] / settings.spread_px]
+        if len(self._seen.vehicles_px):
+            pixels = self._as_came(_drawn_in(self._seen.vehicles_px, numbers[0])).reshape(-1, 2)
+            seen_mm = calibration.to_arena(pixels, self._marker.height_mm).reshape(-1, 4, 2)
+            square = fitted_square(seen_mm, square_corners_mm(self._marker.size_mm))
+            parts.append((seen_mm - square).ravel() / (self._mm_per_px * settings.corner_px))
+        if self._lens is None:
+            width, height = self._seen.size
+            off = (numbers[8:10] - np.array([width - 1, height - 1]) / 2) / (settings.centre_share * width)
+            focal = (numbers[7] - np.log(settings.usual_focal * width)) / settings.log_focal
+            parts.append(np.array([*off, focal, numbers[10] / settings.k1]))
+        if self._camera_height_mm is not None:
+            error = calibration.camera_mm[2] / self._camera_height_mm - 1
+            parts.append(np.array([error / settings.camera_height_share]))
+        return np.concatenate(parts)
+
+    def _uncertainty_mm(self, solution: OptimizeResult, draft: Calibration) -> float:
+        """Return the standard error of where a vehicle's marker is, in the arena's worst corner."""
+        covariance = np.linalg.pinv(solution.jac.T @ solution.jac)
+        low, high = self._robot.arena_mm.low_mm, self._robot.arena_mm.high_mm
+        corners = np.array([[x, y, self._marker.height_mm] for x in (low[0], high[0]) for y in (low[1], high[1])])
+        pixels = draft.to_pixels(corners)
+        changes = []
+        for index, step in enumerate(self._scale() * 1e-3):
+            other = solution.x.copy()
+            other[index] += step
+            changes.append((self._at(other).to_arena(pixels, self._marker.height_mm) - corners[:, :2]) / step)
+        slope = np.array(changes)
+        variance = np.einsum("ink,ij,jnk->n", slope, covariance, slope)
+        return float(np.sqrt(variance.max()))
+
+
+def _look(pictures: Sequence[np.ndarray], robot: Robot, layout: ArenaMarkers, settings: FitSettings) -> _Seen:
+    """Find and refine all markers on all pictures, and see whether these are mirrored."""
+    if not pictures:
+        raise UserError("there is no picture to calibrate from")
+    sizes = {(picture.shape[1], picture.shape[0]) for picture in pictures}
+    if len(sizes) > 1:
+        raise UserError(
+            f"the pictures differ in size: {', '.join(f'{w} × {h}' for w, h in sorted(sizes))}: use one camera"
+        )
+    marker = marker_of(robot)
+    detector, refinement = MarkerDetector(marker.dictionary), CornerRefinement(marker.dictionary)
+    greys = [grey_of(picture) for picture in pictures]
+    plain = _floor_markers(detector, greys[0], layout)
+    flipped = _floor_markers(detector, cv2.flip(greys[0], 1), layout)
+    mirrored = flipped > plain
+    floor: dict[int, list[np.ndarray]] = {number: [] for number in layout.ids}
+    vehicles: dict[int, list[np.ndarray]] = {}
+    for grey in greys:
+        upright = cv2.flip(grey, 1) if mirrored else grey
+        found = [refinement.refine(upright, one) for one in detector.find(upright)]
+        _refuse_twice(found, layout)
+        for number, corners in found:
+            if number in floor:
+                floor[number].append(corners)
+            else:
+                _add_pose(vehicles.setdefault(number, []), corners, settings)
+    if missing := [str(number) for number, seen in floor.items() if not seen]:
+        raise UserError(
+            f"{4 - len(missing)} of the arena's four markers are seen, and not {', '.join(missing)} of "
+            f"{marker.dictionary}: see that nothing covers them and that they lie flat and in even light"
+        )
+    floor_px = np.concatenate([np.median(seen, axis=0) for seen in floor.values()])
+    return _Seen(floor_px, _of_stated_size(vehicles, floor_px, marker.size_mm, layout, settings), sizes.pop(), mirrored)
+
+
+def _floor_markers(detector: MarkerDetector, grey: np.ndarray, layout: ArenaMarkers) -> int:
+    return len({one.number for one in detector.find(grey)} & set(layout.ids))
+
+
+def _refuse_twice(found: Sequence[SeenMarker], layout: ArenaMarkers) -> None:
+    for number in layout.ids:
+        if sum(one.number == number for one in found) > 1:
+            raise UserError(
+                f"marker {number} is there twice, and it is one of the arena's four: take the other one away"
+            )
+
+
+def _add_pose(poses: list[np.ndarray], corners: np.ndarray, settings: FitSettings) -> None:
+    """Keep where a vehicle's marker was seen, unless it has not moved."""
+    still = poses and np.linalg.norm(corners - poses[-1], axis=1).max() < settings.moved_px
+    if not still and len(poses) < settings.most_poses:
+        poses.append(corners)
+
+
+def _of_stated_size(
+    vehicles: dict[int, list[np.ndarray]],
+    floor_px: np.ndarray,
+    size_mm: float,
+    layout: ArenaMarkers,
+    settings: FitSettings,
+) -> np.ndarray:
+    """Return the corners (S, 4, 2) of those markers that can be vehicles' by their size."""
+    expected_px = np.mean([side_px(corners) for corners in floor_px.reshape(4, 4, 2)]) * size_mm / layout.size_mm
+    kept = [
+        corners
+        for poses in vehicles.values()
+        for corners in poses
+        if abs(side_px(corners) / expected_px - 1) < settings.size_share
+    ]
+    return np.array(kept).reshape(-1, 4, 2)
+
+
+def _drawn_in(corners: np.ndarray, spread_px: float) -> np.ndarray:
+    """Return corners (S, 4, 2) each moved towards the middle by so much along both axes of its marker."""
+    outwards = corners - corners.mean(axis=1, keepdims=True)
+    length = np.linalg.norm(outwards, axis=2, keepdims=True).mean(axis=1, keepdims=True)
+    return corners - outwards * (np.sqrt(2) * spread_px / length)

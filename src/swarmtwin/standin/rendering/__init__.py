@@ -1,0 +1,1 @@
+"""What an overhead camera sees of a scene, computed."""

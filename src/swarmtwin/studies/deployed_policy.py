@@ -1,0 +1,141 @@
+"""How a policy did on real vehicles, beside roll-outs in the simulation from the very same start."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from swarmtwin.errors import UserError
+from swarmtwin.policies.policy_folder import StoredPolicy
+from swarmtwin.policies.rollout_comparison import plain_figures
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.rendering.paths import paths_figure
+from swarmtwin.world.rendering.video import pictures, write_video
+from swarmtwin.world.rollout import NEVER, Rollout, figures_of, play
+from swarmtwin.world.scenario import Scenario
+from swarmtwin.world.task import Task
+
+
+def scenario_for(task: Task, start: np.ndarray, target: Any, seed: int) -> Scenario:
+    """Return what is asked of vehicles that stand at (V, 3): targets as given, or drawn by the task with a seed.
+
+    Raises:
+        UserError: targets are not as many as the task has, or not all within the arena; or the task has obstacles and
+            no target is given, so that nobody could know where the real ones stand.
+    """
+    drawn = task.draw(np.random.default_rng(seed), 1)
+    if drawn.obstacles.shape[1]:
+        raise UserError(
+            f"task {task.config.name!r} has obstacles, which cannot be told of real ones yet: choose another"
+        )
+    targets = drawn.targets
+    if target is not None:
+        targets = np.array(target, float).reshape(-1, 2)[None]
+        if targets.shape != drawn.targets.shape:
+            raise UserError(f"target: task {task.config.name!r} has {task.legs} targets, {targets.shape[1]} are given")
+        low, high = task.arena.low_mm, task.arena.high_mm
+        if not ((targets >= low) & (targets <= high)).all():
+            raise UserError(f"target={target} is not within the arena, {low.tolist()} to {high.tolist()} mm")
+    return Scenario.beginning(start[None], targets)
+
+
+def imagined(
+    policy: StoredPolicy, task: Task, simulation: Simulation, scenario: Scenario, count: int, seed: int
+) -> Rollout:
+    """Roll the policy out `count` times from the start of a deployment, drawn where the simulation knows its spread."""
+    knows_spread = simulation.is_extended or simulation.motion_noise is not None
+    many = scenario.where(np.zeros(count, int))
+    motion = SimulatedMotion(simulation, count, task.vehicles, sampled=knows_spread, seed=seed)
+    return play(task, motion, many, policy.policy.act)
+
+
+def deployment_metrics(real: Rollout | None, simulated: Rollout | None, counters: dict[str, Any]) -> dict[str, Any]:
+    """Return all figures of a deployment, as they stand in metrics.json; rewards over as long as the vehicles drove."""
+    metrics: dict[str, Any] = {"control": counters}
+    if real is not None:
+        metrics["robots"] = {
+            "reward": float(real.mean_reward[0]),
+            "success": bool(real.success[0]),
+            "collision": bool(real.collided_step[0] != NEVER),
+            "left_arena": bool(real.left_step[0] != NEVER),
+            "reach_time_s": None if np.isnan(real.reach_time_s[0]) else float(real.reach_time_s[0]),
+            "final_distance_mm": float(real.final_distance_mm[0]),
+        }
+    if real is not None and simulated is not None:
+        metrics["simulation"] = plain_figures(figures_of(simulated))
+        as_long = simulated.until(
+            int(real.periods[0])
+        )  # a reward is a mean over time: the end, at the target, earns more
+        metrics["simulation"]["reward"] = plain_figures(figures_of(as_long))["reward"]
+        metrics["simulation_rewards_below"] = float((as_long.mean_reward < real.mean_reward[0]).mean())
+    return metrics
+
+
+def tracked_deployment_figures(metrics: dict[str, Any]) -> dict[str, float]:
+    """Return the figures by name and unit, as MLflow keeps them."""
+    control = metrics["control"]
+    figures = {name: float(control[name]) for name in ("periods", "interventions", "deadlocks", "is_standing")}
+    figures["alarms"] = float(sum(control["alarms"].values()))
+    for name in ("lateness_ms", "camera_to_command_ms", "decision_ms", "filter_ms"):
+        figures |= {f"{name.removesuffix('_ms')}_{which}_ms": value for which, value in control[name].items()}
+    if robots := metrics.get("robots"):
+        figures |= {f"robots_{name}": float(value) for name, value in robots.items() if value is not None}
+    if simulation := metrics.get("simulation"):
+        figures |= {
+            "simulation_reward": simulation["reward"]["mean"],
+            "simulation_success": simulation["success"]["value"],
+            "simulation_rewards_below": metrics["simulation_rewards_below"],
+        }
+    return {name: value for name, value in figures.items() if not np.isnan(value)}
+
+
+def deployment_table(title: str, metrics: dict[str, Any]) -> Table:
+    """Return what a person reads at the end."""
+    shown = Table(box=box.SIMPLE_HEAD, title=title)
+    shown.add_column("")
+    shown.add_column("robots", justify="right")
+    simulation, robots = metrics.get("simulation"), metrics.get("robots")
+    if simulation:
+        shown.add_column(f"simulation, {simulation['rollouts']} roll-outs", justify="right")
+    if robots:
+        yes = {True: "yes", False: "no"}
+        rates = {"success": "success", "collision": "a collision", "left_arena": "left the arena"}
+        means = {"reward": "reward a vehicle and period", "reach_time_s": "time to reach, s"}
+        means["final_distance_mm"] = "farthest vehicle in the end, mm"
+        for name, label in rates.items():
+            cells = [f"{simulation[name]['value']:.0%}"] if simulation else []
+            shown.add_row(label, yes[robots[name]], *cells)
+        for name, label in means.items():
+            cells = [_spread(simulation[name])] if simulation else []
+            shown.add_row(label, "–" if robots[name] is None else f"{robots[name]:.2f}", *cells)
+    control = metrics["control"]
+    shown.add_row("periods", str(control["periods"]))
+    shown.add_row("commands weakened; deadlocks", f"{control['interventions']}; {control['deadlocks']}")
+    for name, label in (("lateness_ms", "lateness of a period"), ("camera_to_command_ms", "camera to command")):
+        times = control[name]
+        shown.add_row(f"{label}, ms: median; p99", f"{times['median']:.1f}; {times['p99']:.1f}")
+    under = [vehicle for vehicle, rung in control["alarms"].items() if rung]
+    shown.add_row("not as the simulation expects", ", ".join(f"vehicle {one}" for one in under) or "none")
+    seen = "all vehicles stand" if control["is_standing"] else "NOT SEEN TO STAND"
+    shown.caption = f"ended: {control['reason']}; {seen}"
+    if "simulation_rewards_below" in metrics:
+        shown.caption += f"\n{metrics['simulation_rewards_below']:.0%} of the simulated roll-outs earned less"
+    return shown
+
+
+def draw_deployment(folder: Path, real: Rollout, simulated: Rollout | None, video: bool, speed: float) -> None:
+    """Draw the paths of the vehicles, beside those of one simulated roll-out, and film them where asked."""
+    titled = {"robots": real}
+    if simulated is not None:
+        typical = int(np.argsort(simulated.mean_reward, kind="stable")[len(simulated) // 2])
+        titled["simulation, typical"] = simulated.where(np.array([typical]))
+    paths_figure(titled, 0).savefig(folder / "paths.png")
+    if video:
+        write_video(folder / "deployment.mp4", pictures(titled, 0, speed))
+
+
+def _spread(figure: dict[str, float | None]) -> str:
+    return "none did" if figure["mean"] is None else f"{figure['mean']:.2f} ± {figure['sd']:.2f}"

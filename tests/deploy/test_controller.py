@@ -1,0 +1,57 @@
+"""The control loop over vehicles in memory: it drives, and every line of safety stops them within a period."""
+
+import time
+
+import numpy as np
+import pytest
+from playground import Playground, Told
+
+from swarmtwin.deploy.control.journal import read_journal
+
+APART = np.array([[300.0, 300.0, 0.0], [300.0, 700.0, 0.0], [700.0, 500.0, 3.0]])
+
+
+def test_it_drives_and_ends_with_vehicles_that_stand(tmp_path):
+    with Playground(tmp_path, APART) as ground:
+        outcome = ground.drive(Told([[60, 60], [40, 60], [0, 0]]), periods=8)
+    assert (outcome.ending, outcome.reason, outcome.is_standing) == ("done", "8 periods are over", True)
+    moved = ground.vehicles.poses() - APART
+    assert 8 * 0.35 * 60 * 0.85 < moved[0, 0] < 8 * 0.35 * 60 * 1.15
+    assert abs(moved[2]).max() < 1e-9
+    lines = list(read_journal(ground.journal.path))
+    assert [line["tick"] for line in lines if line["kind"] == "period"] == list(range(8))
+    assert lines[-1]["kind"] == "end"
+    assert lines[-1]["is_standing"]
+    assert outcome.camera_to_command_s
+    assert np.median(outcome.camera_to_command_s) < 0.06
+
+
+FAULTS = {
+    "not been seen": lambda ground: ground.tracker.hidden.add("2"),
+    "unplugged|no picture": lambda ground: setattr(ground.camera, "broken", True),
+    "link|no connection": lambda ground: setattr(ground.vehicles, "lost", True),
+    "interrupted by SIGINT": lambda ground: setattr(ground.controller.watchmen.interrupts, "signalled", "SIGINT"),
+    "emergency stop by key": lambda ground: setattr(ground.controller.watchmen.interrupts, "key", True),
+}
+
+
+@pytest.mark.parametrize("reason", FAULTS)
+def test_each_fault_stops_all_vehicles(tmp_path, reason):
+    happened = []
+
+    def fault():
+        happened.append(time.monotonic())
+        FAULTS[reason](ground)
+        if reason.startswith("link"):  # it comes back, and the zeros go through
+            time.sleep(0.4)
+            ground.vehicles.lost = False
+            happened.append(time.monotonic())
+
+    with Playground(tmp_path, APART, pose_age_s=0.07, picture_age_s=0.07, link_lost_s=0.05) as ground:
+        outcome = ground.drive(Told(20 * np.ones((3, 2))), periods=40, then=fault)
+        stands = abs(ground.vehicles.poses() - ground.vehicles.poses()).max() < 1e-9
+    assert outcome.ending == ("interrupted" if "SIGINT" in reason else "stopped")
+    assert any(part in outcome.reason for part in reason.split("|"))
+    assert stands
+    assert outcome.is_standing == (reason not in ("not been seen", "unplugged|no picture"))
+    assert ground.first_zeros_after(happened[-1]) < ground.robot.period_s + 0.03
