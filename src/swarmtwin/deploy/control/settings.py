@@ -38,7 +38,7 @@ class SafetySettings(StrictModel):
         link_lost_s: or when the link has been down for so long.
         standing_moves_mm: or when a vehicle that has been told to stand for two periods moves further than this in one.
         heartbeat_s: the supervisor stops all when the controller has shown no sign of life for so long; null: half a
-            period. The controller stops all when the supervisor has shown none for twice that.
+            period. The controller stops all when the supervisor has shown none for half as long again.
         zeros_every_s: a stop is repeated that often until the vehicles are seen to stand.
         standstill_s: they stand when they have not moved for so long
         standstill_mm: by more than this.
