@@ -160,7 +160,6 @@ def _foreign(named: str, robot: Robot) -> None:
         raise UserError(f"there is nothing at path={named}: name what is to be imported")
 
 
-<<<<<<< HEAD
 def _password_file(named: str, robot: Robot | None) -> None:
     if not Path(named).is_file():
         raise UserError(f"broker.password_file {named} is missing: name a file whose first line is the password")
@@ -169,7 +168,8 @@ def _password_file(named: str, robot: Robot | None) -> None:
 def _certificate(named: str, robot: Robot | None) -> None:
     if not Path(named).is_file():
         raise UserError(f"broker.ca_file {named} is missing: name the certificate of the broker's authority")
-=======
+
+
 def _video(named: str, robot: Robot) -> None:
     if not Path(named).exists():
         raise UserError(f"there is nothing at video={named}: name a video file or a folder of pictures")
@@ -178,7 +178,6 @@ def _video(named: str, robot: Robot) -> None:
 def _calibration(named: str, robot: Robot) -> None:
     if not Path(named).exists():
         raise UserError(f"no calibration {named}: make one with `swarmtwin calibrate`")
->>>>>>> track
 
 
 INPUTS: Mapping[str, Callable[[str, Any], None]] = {
@@ -200,11 +199,9 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "open_loop": _recording,
     "path": _foreign,
     "drive": _drive,
-<<<<<<< HEAD
     "broker.password_file": _password_file,
     "broker.ca_file": _certificate,
 =======
     "video": _video,
     "calibration": _calibration,
->>>>>>> track
 }
