@@ -201,7 +201,6 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "drive": _drive,
     "broker.password_file": _password_file,
     "broker.ca_file": _certificate,
-=======
     "video": _video,
     "calibration": _calibration,
 }
