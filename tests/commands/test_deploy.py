@@ -67,7 +67,7 @@ class Stage:
     def __init__(self, folder, fleet, broker, monkeypatch):
         self.folder, self.fleet, self.broker = folder, fleet, broker
         digest = folder_digest(simulation(folder / "kinematic", ROBOT))
-        save_seeker(folder / "seeker", source="kinematic", digest=digest, hold_s=1.0, reach_mm=330.0)
+        save_seeker(folder / "seeker", source="kinematic", digest=digest, hold_s=2.0, reach_mm=330.0)
         self.camera, self.tracker = see_by(fleet._memory)
         self.outcomes, self.deployments = [], []
         drive = deployment_module.Deployment.drive
@@ -84,7 +84,7 @@ class Stage:
         usual = ("policy=seeker", "page.show=false", "compare=0", "target=[515,515]", "output=out", "steps=60")
         return (*usual, f"broker={self.broker.address}", "safety.standstill_wait_s=3")
 
-    def deploy(self, *options, then=None, after_s=1.0):
+    def deploy(self, *options, then=None, after_s=0.6):
         """Deploy; so long after the vehicles have begun to move, do something. Return the exit status."""
         at_s = []
 

@@ -5,9 +5,9 @@ import time
 import numpy as np
 import pytest
 import torch
-from exact_model import simulation_with
 from playground import NOISE, exact_simulation
 
+from exact_model import simulation_with
 from swarmtwin.deploy.control.look_ahead import LookAhead
 from swarmtwin.deploy.control.safety import SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings
