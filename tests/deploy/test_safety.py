@@ -1,4 +1,4 @@
-"""The safety filter: what it lets through is safe in the simulation, what it holds back was not, and it locks no one."""
+"""The safety filter: what it lets through is safe in the simulation, what it holds back was not; it locks no one."""
 
 import time
 

@@ -96,7 +96,7 @@ class Observer:
 
     @contextlib.contextmanager
     def quiet(self) -> Iterator[None]:
-        """Begin with no further picture for the moment: two threads that compute at once both take several times as long.
+        """Begin with no further picture for now: two threads that compute at once take several times as long.
 
         A picture that comes meanwhile is looked at afterwards, unless there is a newer one by then.
         """
