@@ -70,7 +70,7 @@ def test_a_picture_is_brought_into_the_arenas_frame_whatever_way_the_camera_hang
         to_px = cv2.getPerspectiveTransform(arena, np.float32(corners))
         [[spot]] = cv2.perspectiveTransform(np.float32([[[300, 800]]]), to_px)
         image = np.zeros((660, 660), np.uint8)
-        cv2.circle(image, tuple(int(round(value)) for value in spot), 8, 255, -1)
+        cv2.circle(image, tuple(round(float(value)) for value in spot), 8, 255, -1)
         overlay = Overlay(scene(corners_px=corners))
         drawn = overlay.draw(image, {}, 0.0, {})
         y, x = (30 + np.mean(places) for places in np.nonzero(drawn[30:-30, 30:-30].min(axis=2) > 200))
