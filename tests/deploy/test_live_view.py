@@ -81,7 +81,13 @@ def test_it_shows_poses_ages_and_alarms(view):
     now_s = time.monotonic()
     image = np.full((660, 660), 90, np.uint8)
     view.show_picture(image, Sighting(1, now_s, {"1": np.array([300.0, 400.0, 0.5])}))
-    vehicle = {"pose": [500, 500, 0], "captured_s": now_s, "sent": [50.0, 60.0], "reason": "withheld: fence", "scale": 0}
+    vehicle = {
+        "pose": [500, 500, 0],
+        "captured_s": now_s,
+        "sent": [50.0, 60.0],
+        "reason": "withheld: fence",
+        "scale": 0,
+    }
     view.publish({"tick": 3, "vehicles": {"2": {**vehicle, "alarm": True}}, "target_mm": [500, 500], "reach_mm": 250})
     page = answer(view, "").decode()
     assert "Micro-Ground Robot: collective" in page

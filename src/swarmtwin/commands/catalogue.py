@@ -21,6 +21,8 @@ class Command(NamedTuple):
 COMMANDS = {
     "record": Command("record", "stand-in robots drive; a recording results"),
     "import": Command("import_recording", "foreign data become a recording"),
+    "calibrate": Command("calibrate", "where an overhead camera hangs, from the arena's four markers"),
+    "track": Command("track", "a video and the commands that were sent become a recording"),
     "prepare": Command("prepare", "a recording becomes transitions: checked, counted, split by run"),
     "generate": Command(
         "generate",

@@ -73,6 +73,9 @@ def _check_choice(command: str, content: Mapping[str, Any], options: EarlyOption
         return {name for name, left_out in unread.items() if left_out}
     if command == "diagnose" and content["reference"] is None and content["simulation"] is None:
         raise UserError("give reference=DIR, a recording in which nothing is wrong, or simulation=FOLDER|models:/...")
+    if command == "track" and not Path(content["commands"]).exists():
+        columns = ", ".join(("time_s", "vehicle", *options.robot.command_columns))
+        raise UserError(f"commands {content['commands']} is missing: name a CSV file with {columns}")
     if command == "learn" and content["simulation"] is None:
         folder = Path("artifacts/dynamics") / options.robot.name / "crnet_synthetic"
         if not folder.is_dir():
@@ -167,6 +170,16 @@ def _certificate(named: str, robot: Robot | None) -> None:
         raise UserError(f"broker.ca_file {named} is missing: name the certificate of the broker's authority")
 
 
+def _video(named: str, robot: Robot) -> None:
+    if not Path(named).exists():
+        raise UserError(f"there is nothing at video={named}: name a video file or a folder of pictures")
+
+
+def _calibration(named: str, robot: Robot) -> None:
+    if not Path(named).exists():
+        raise UserError(f"no calibration {named}: make one with `swarmtwin calibrate`")
+
+
 INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "from": _generator,
     "simulation": _model,
@@ -188,4 +201,6 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "drive": _drive,
     "broker.password_file": _password_file,
     "broker.ca_file": _certificate,
+    "video": _video,
+    "calibration": _calibration,
 }

@@ -81,7 +81,7 @@ def open_eyes(robot: Robot, vehicles: Sequence[str], arena: Arena, camera: str, 
         pictures = take_pictures(eyes)
         if calibration is None:
             found = fit_calibration(pictures, robot)
-            log.info("calibrated by the arena's markers: %s", found.summary(marker_of(robot).height_mm))
+            log.info("calibrated by the arena's markers: %s", found.summary(robot))
         else:
             found = Calibration.load(calibration)
         _check_arena(found, arena)

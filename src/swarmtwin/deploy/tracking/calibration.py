@@ -11,9 +11,9 @@ import yaml
 from pydantic import Field
 
 from swarmtwin.errors import UserError
-from swarmtwin.markers import ArenaMarkers
+from swarmtwin.markers import ArenaMarkers, marker_of
 from swarmtwin.plain_yaml import read_yaml
-from swarmtwin.robot import Arena, StrictModel
+from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.strict_model import Positive
 
 Vector = tuple[float, float, float]
@@ -54,7 +54,8 @@ class Calibration(StrictModel):
         mirrored: whether the pictures show left and right exchanged.
         arena_mm: where the vehicles can move.
         layout: the markers on the arena's floor.
-        reprojection_px: root mean square distance of the floor's corners from where they were seen.
+        reprojection_px: root mean square distance of the floor's corners from where they were seen, once each of
+            their markers is allowed to lie a little aside.
         uncertainty_mm: standard error of a vehicle's position in the arena's worst corner, from the fit.
     """
 
@@ -133,8 +134,9 @@ class Calibration(StrictModel):
         seen = self.to_pixels(middle + np.array([[0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]]))
         return float(1 / np.sqrt(abs(np.linalg.det(seen[1:] - seen[0]))))
 
-    def summary(self, marker_height_mm: float) -> str:
-        """Return in words where the camera hangs and how sure that is, for vehicles whose markers are so high."""
+    def summary(self, robot: Robot) -> str:
+        """Return in words where the camera hangs, and how sure that is for a robot's vehicles."""
+        marker_height_mm = marker_of(robot).height_mm
         way = ", mirrored" if self.mirrored else ""
         return (
             f"camera {self.camera_mm[2]:.0f} mm above the floor{way}, {self.mm_per_pixel(marker_height_mm):.2f} mm a "

@@ -24,25 +24,29 @@ class FitSettings:
         corner_px: standard error of a corner, small unknown bends of paper and lens included.
         spread_px: standard deviation of how much too far outside all corners seem to lie: blur and light make dark
             things larger or smaller.
+        placed_mm: standard error, along x and y, of where a marker was laid on the floor.
+        printed_share: standard error of the size of the vehicles' markers over that of the floor's.
         centre_share: standard deviation of the optical axis from the picture's middle, in widths of the picture.
         k1: standard deviation of the radial distortion among lenses.
         log_focal: standard deviation of the logarithm of the focal length among cameras, in widths of the picture.
         usual_focal: its median.
         camera_height_share: standard error of a camera's height that was measured by hand.
-        largest_error_mm: a fit from which the floor's corners deviate more (root mean square) is refused.
+        largest_error_mm: where a marker on the floor seems to lie farther from where it should, the fit is refused.
         size_share: a vehicle's marker that seems larger or smaller than stated by more is no vehicle's.
         most_poses: of each vehicle that take part.
         moved_px: a vehicle that has not moved so far has the same pose still.
     """
 
-    corner_px: float = 0.03
+    corner_px: float = 0.04
     spread_px: float = 0.2
-    centre_share: float = 0.02
+    placed_mm: float = 0.3
+    printed_share: float = 0.001
+    centre_share: float = 0.015
     k1: float = 0.15
     log_focal: float = 0.6
     usual_focal: float = 1.1
     camera_height_share: float = 0.005
-    largest_error_mm: float = 4.0
+    largest_error_mm: float = 2.0
     size_share: float = 0.25
     most_poses: int = 12
     moved_px: float = 1.0
@@ -91,25 +95,26 @@ def fit_calibration(
         raise UserError(f"the lens was measured on pictures of {lens.image_size}, and these are {seen.size}")
     problem = _Problem(seen, robot, layout, lens, camera_height_mm, settings)
     best = min(
-        (problem.solve(focal) for focal in (0.6, 1.0, 1.8, 3.2)),
+        (problem.solve(focal) for focal in (0.7, 1.3, 2.6)),
         key=lambda solution: float(solution.cost),
     )
-    calibration = problem.calibration(best)
-    error_mm = calibration.reprojection_px * calibration.mm_per_pixel()
-    if error_mm > settings.largest_error_mm:
+    number, off_mm = problem.misplaced(best)
+    if off_mm > settings.largest_error_mm:
         raise UserError(
-            f"the arena's markers {', '.join(map(str, layout.ids))} are not seen where they should lie, by "
-            f"{error_mm:.1f} mm (at most {settings.largest_error_mm:g}): {problem.worst_marker(calibration)} is the "
-            "farthest off: check which marker lies at which corner, how they are turned, their size_mm and centres_mm"
+            f"the arena's markers {', '.join(map(str, layout.ids))} are not seen where they should lie: "
+            f"marker {number} is off by {off_mm:.0f} mm (at most {settings.largest_error_mm:g}): "
+            "check which marker lies at which corner and how they are turned, "
+            "and that size_mm, outside_mm or centres_mm are as measured"
         )
-    return calibration
+    return problem.calibration(best)
 
 
 class _Problem:
     """The least-squares problem.
 
-    Its unknowns are how far outside corners seem to lie, the pose (6), and where the lens is not known the logarithm of
-    its focal length, its centre (2) and k1.
+    Its unknowns are how far outside corners seem to lie, by what share the vehicles' markers are larger than stated,
+    how far each marker on the floor lies from where it should (8), the pose (6), and where the lens is not known the
+    logarithm of its focal length, its centre (2) and k1.
     """
 
     def __init__(
@@ -138,7 +143,7 @@ class _Problem:
         )
         bends = np.array(self._lens.distortion) if self._lens else np.zeros(5)
         _, turned, moved = cv2.solvePnP(self._floor_mm, self._seen.floor_px, matrix, bends, flags=cv2.SOLVEPNP_IPPE)
-        start = np.concatenate([[0.0], turned.ravel(), moved.ravel()])
+        start = np.concatenate([np.zeros(10), turned.ravel(), moved.ravel()])
         if self._lens is None:
             start = np.concatenate([start, [np.log(focal), *middle, 0.0]])
         return least_squares(self._residuals, start, x_scale=self._scale(), method="trf", max_nfev=60)
@@ -146,7 +151,7 @@ class _Problem:
     def calibration(self, solution: OptimizeResult) -> Calibration:
         """Return the solution as a calibration, with how sure it is."""
         draft = self._at(solution.x)
-        off = draft.to_pixels(self._floor_mm) - self._floor_px(solution.x[0])
+        off = draft.to_pixels(self._placed(solution.x)) - self._floor_px(solution.x[0])
         return draft.model_copy(
             update={
                 "reprojection_px": float(np.sqrt((off**2).sum(axis=1).mean())),
@@ -154,12 +159,17 @@ class _Problem:
             }
         )
 
-    def worst_marker(self, calibration: Calibration) -> str:
-        """Return the marker on the floor that deviates most, in words."""
-        off = (
-            np.linalg.norm(calibration.to_pixels(self._floor_mm) - self._floor_px(), axis=1).reshape(4, 4).mean(axis=1)
-        )
-        return f"marker {self._layout.ids[int(off.argmax())]}"
+    def misplaced(self, solution: OptimizeResult) -> tuple[int, float]:
+        """Return the marker on the floor that lies farthest from where it should, and how far in mm."""
+        off_px = self._at(solution.x).to_pixels(self._floor_mm) - self._floor_px(solution.x[0])
+        seen_mm = self._mm_per_px * np.linalg.norm(off_px, axis=1).reshape(4, 4).mean(axis=1)
+        off_mm = np.maximum(seen_mm, np.linalg.norm(solution.x[2:10].reshape(4, 2), axis=1))
+        return self._layout.ids[int(off_mm.argmax())], float(off_mm.max())
+
+    def _placed(self, numbers: np.ndarray) -> np.ndarray:
+        """Return where the floor's corners (16, 3) lie, each marker moved from where it should."""
+        moved = np.repeat(numbers[2:10].reshape(4, 2), 4, axis=0)
+        return self._floor_mm + np.column_stack([moved, np.zeros(16)])
 
     def _floor_px(self, spread_px: float = 0.0) -> np.ndarray:
         """Return where the floor's corners (16, 2) were seen on the pictures as they came, drawn in by `spread_px`."""
@@ -169,23 +179,23 @@ class _Problem:
         return np.array([self._seen.size[0] - 1, 0]) + pixels * [-1, 1] if self._seen.mirrored else pixels
 
     def _scale(self) -> np.ndarray:
-        pose = [0.05] + [0.01] * 3 + [10.0] * 3
+        pose = [0.05, 0.001] + [0.5] * 8 + [0.01] * 3 + [10.0] * 3
         return np.array(pose if self._lens else [*pose, 0.01, 5.0, 5.0, 0.02])
 
     def _at(self, numbers: np.ndarray) -> Calibration:
         lens = self._lens
         if lens is None:
-            focal = float(np.exp(numbers[7]))
+            focal = float(np.exp(numbers[16]))
             lens = Lens.model_construct(
                 image_size=self._seen.size,
                 focal_px=(focal, focal),
-                centre_px=(float(numbers[8]), float(numbers[9])),
-                distortion=(float(numbers[10]), 0.0, 0.0, 0.0, 0.0),
+                centre_px=(float(numbers[17]), float(numbers[18])),
+                distortion=(float(numbers[19]), 0.0, 0.0, 0.0, 0.0),
             )
         return Calibration.model_construct(
             lens=lens,
-            rotation_rad=tuple(numbers[1:4].tolist()),
-            translation_mm=tuple(numbers[4:7].tolist()),
+            rotation_rad=tuple(numbers[10:13].tolist()),
+            translation_mm=tuple(numbers[13:16].tolist()),
             mirrored=self._seen.mirrored,
             arena_mm=self._robot.arena_mm,
             layout=self._layout,
@@ -196,18 +206,19 @@ class _Problem:
     def _residuals(self, numbers: np.ndarray) -> np.ndarray:
         """Return deviations in standard errors."""
         settings, calibration = self._settings, self._at(numbers)
-        off_px = calibration.to_pixels(self._floor_mm) - self._floor_px(numbers[0])
-        parts = [off_px.ravel() / settings.corner_px, numbers[:1] / settings.spread_px]
+        off_px = calibration.to_pixels(self._placed(numbers)) - self._floor_px(numbers[0])
+        tolerances = np.array([settings.spread_px, settings.printed_share, *[settings.placed_mm] * 8])
+        parts = [off_px.ravel() / settings.corner_px, numbers[:10] / tolerances]
         if len(self._seen.vehicles_px):
             pixels = self._as_came(_drawn_in(self._seen.vehicles_px, numbers[0])).reshape(-1, 2)
             seen_mm = calibration.to_arena(pixels, self._marker.height_mm).reshape(-1, 4, 2)
-            square = fitted_square(seen_mm, square_corners_mm(self._marker.size_mm))
+            square = fitted_square(seen_mm, square_corners_mm(self._marker.size_mm * (1 + numbers[1])))
             parts.append((seen_mm - square).ravel() / (self._mm_per_px * settings.corner_px))
         if self._lens is None:
             width, height = self._seen.size
-            off = (numbers[8:10] - np.array([width - 1, height - 1]) / 2) / (settings.centre_share * width)
-            focal = (numbers[7] - np.log(settings.usual_focal * width)) / settings.log_focal
-            parts.append(np.array([*off, focal, numbers[10] / settings.k1]))
+            off = (numbers[17:19] - np.array([width - 1, height - 1]) / 2) / (settings.centre_share * width)
+            focal = (numbers[16] - np.log(settings.usual_focal * width)) / settings.log_focal
+            parts.append(np.array([*off, focal, numbers[19] / settings.k1]))
         if self._camera_height_mm is not None:
             error = calibration.camera_mm[2] / self._camera_height_mm - 1
             parts.append(np.array([error / settings.camera_height_share]))

@@ -123,12 +123,11 @@ class Tracker:
         check = CameraCheck(self._calibration, looks_to_tell=1)
         floor = set(self._calibration.layout.ids)
         seen = self._detector.find(grey)
-        if not floor & {one.number for one in seen}:
-            flipped = floor & {one.number for one in self._detector.find(cv2.flip(grey, 1))}
-            why = "the picture is mirrored, compared to the calibration" if flipped else "none of the arena's is seen"
-            raise UserError(
-                f"{why}: put the camera back, give the arena its markers {sorted(floor)}, or calibrate anew"
-            )
+        as_it_is = len(floor & {one.number for one in seen})
+        mirrored = len(floor & {one.number for one in self._detector.find(cv2.flip(grey, 1))})
+        if mirrored > as_it_is or not as_it_is:
+            why = "the picture is mirrored, compared to the calibration" if mirrored else "none of the arena's is seen"
+            raise UserError(f"{why}: put the camera back, look to the markers {sorted(floor)}, or calibrate anew")
         check.look(seen, grey)
         if check.reason:
             raise UserError(f"{check.reason}: put the camera back, or calibrate anew")

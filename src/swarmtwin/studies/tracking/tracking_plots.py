@@ -51,7 +51,7 @@ def errors_figure(table: pd.DataFrame, goals: dict[str, float]) -> Figure:
             axis.set(xscale="log", xlabel=f"{label}: median to 99th percentile")
         axes[0].set_yticks(range(len(cases)), cases)
         axes[0].invert_yaxis()
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=3, bbox_to_anchor=(0.5, 1.0))
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="lower center", ncols=2, bbox_to_anchor=(0.5, 1.0))
         figure.tight_layout()
         plt.close(figure)
     return figure
