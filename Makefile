@@ -6,18 +6,19 @@ export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data notebooks dependencies lock queue fuzz kill
+.PHONY: help setup run test benchmark lint ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
 	@echo "make lint       set up, check style and types"
+	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
 	@echo "make benchmark  speed and memory, as figures and ratios"
 	@echo "make data       drive the stand-in robots again: the recordings in data/, anew"
-	@echo "make dependencies  write into dvc.yaml which code each stage hangs on, after imports have changed"
+	@echo "make dependencies  write into dvc.yaml what its stages are, after they have changed"
 	@echo "make notebooks  run the notebooks and store what they show in them"
-	@echo "make fuzz, make kill  campaigns: damaged files; commands that die at random moments"
+	@echo "make fuzz, kill, faults  campaigns: damaged files; commands that die at random moments; deployments with faults"
 	@echo "make lock       pin the environment as it is installed now in constraints.txt"
 
 setup: .venv/installed
@@ -29,9 +30,13 @@ setup: .venv/installed
 	@touch $@
 
 PROMOTE := $(BIN)/swarmtwin promote
-run: setup  # the robots' pipelines side by side; a refused promotion (exit status 3) is an answer, not a failure
+run: setup  # beside a process that has imported what the stages need (src/swarmtwin/commands/preloaded.py)
 	$(BIN)/dvc pull --quiet data
-	-$(MAKE) --no-print-directory --jobs=2 pipeline@mgr pipeline@mur
+	@folder=$$(mktemp -d); $(BIN)/python -m swarmtwin.commands.preloaded $$folder/address & \
+	  trap "kill $$!; rm -r $$folder" EXIT; SWARMTWIN_PRELOADED=$$folder/address $(MAKE) --no-print-directory results
+
+results:  # a refused promotion (exit status 3) is an answer, not a failure
+	-LOKY_MAX_CPU_COUNT=1 $(MAKE) --no-print-directory --jobs=2 parts
 	$(BIN)/dvc repro
 	$(PROMOTE) robot=mgr candidate=artifacts/comparison/mgr/best || [ $$? = 3 ]
 	$(PROMOTE) robot=mur candidate=artifacts/comparison/mur/best || [ $$? = 3 ]
@@ -39,13 +44,37 @@ run: setup  # the robots' pipelines side by side; a refused promotion (exit stat
 	$(PROMOTE) robot=mur what=policy candidate=artifacts/policies/mur/pair || [ $$? = 3 ]
 	$(BIN)/swarmtwin experiment name=overview
 
-pipeline@mur: WAIT := 10  # DVC looks after data/ once at a time; who finds it busy tries again
-pipeline@%:
-	@sleep $(or $(WAIT),0)
+# The stages of dvc.yaml in parts, two at a time on two cores, the longest way first. DVC looks at a part's own stages
+# alone (--single-item), so the parts that it reads are named here; the `dvc repro` afterwards looks at all of them.
+ROBOTS := mgr mur
+of_robots = $(ROBOTS:%=$(1)@%)
+PARTS := $(call of_robots,policies) $(call of_robots,study) $(call of_robots,dynamics) diagnosis@mgr \
+  $(call of_robots,pictures) $(call of_robots,simulation) $(call of_robots,transitions) code
+parts: $(PARTS)
+$(call of_robots,transitions): code
+$(call of_robots,simulation): simulation@%: transitions@%
+$(call of_robots,policies): policies@%: simulation@%
+$(call of_robots,study): study@%: simulation@%  # which it does not read: policies take longest, and are begun before
+$(call of_robots,dynamics): dynamics@%: simulation@%
+diagnosis@mgr: code
+$(call of_robots,pictures): pictures@%: policies@% dynamics@% study@%
+
+robot = $(lastword $(subst @, ,$@))
+code: STAGES = code@*
+$(call of_robots,transitions): STAGES = transitions@$(robot) synthetic@$(robot)-*
+$(call of_robots,simulation): STAGES = synthetic_dynamics@$(robot)
+$(call of_robots,study): STAGES = real_and_synthetic@$(robot)
+policies@mgr: STAGES = policies@collective policies@obstacle transfer@mgr
+policies@mur: STAGES = policies@pair transfer@mur
+$(call of_robots,dynamics): STAGES = dynamics@$(robot)-* comparison@$(robot)
+diagnosis@mgr: STAGES = diagnosis@mgr report@mgr
+$(call of_robots,pictures): STAGES = pictures@$(robot)-*
+.PHONY: results parts $(PARTS)
+$(PARTS):  # DVC looks after a folder, or its own files, once at a time: who finds them busy tries again
 	@bash -o pipefail -c 'for try in 1 2 3 4 5; do \
-	  $(BIN)/dvc repro --glob "pictures@$*-*" $(if $(filter mgr,$*),report@$*) 2>&1 \
-	    | tee .$*.partial | sed -u "s/^/$*: /"; status=$$?; \
-	  grep -q "Unable to acquire lock" .$*.partial || break; sleep 15; done; rm -f .$*.partial; exit $$status'
+	  $(BIN)/dvc repro --single-item --glob $(STAGES:%="%") 2>&1 \
+	    | tee .$@.partial | sed -u "s/^/$@: /"; status=$$?; \
+	  grep -Eq "Unable to acquire lock|is busy" .$@.partial || break; sleep 5; done; rm -f .$@.partial; exit $$status'
 
 queue: setup  # experiments queued by `dvc exp run --queue`, JOBS at a time; DVC's workers look for it on the path
 	PATH="$(CURDIR)/$(BIN):$$PATH" dvc queue start --jobs $(or $(JOBS),1)
@@ -93,3 +122,19 @@ dependencies: setup
 
 lock: setup
 	$(BIN)/pip freeze --exclude-editable | sed 's/+cpu$$//' > constraints.txt
+
+DEMO := artifacts/demo
+DEMO_POLICY = $(firstword $(wildcard artifacts/policies/mgr/collective) src/swarmtwin/deploy/bundled/policy)
+DEMO_SIMULATION = $(firstword $(wildcard artifacts/dynamics/mgr/crnet_synthetic) src/swarmtwin/deploy/bundled/simulation)
+demo: setup  # broker, five emulated robots and their camera; a policy drives them to their target; a film is left
+	@$(BIN)/swarmtwin fleet robot=mgr vehicles=5 broker=embedded://127.0.0.1:18883 camera_port=18090 duration_s=200 & fleet=$$!; \
+	trap 'kill -TERM $$fleet 2>/dev/null; wait $$fleet' EXIT; \
+	for try in $$(seq 120); do \
+	  $(BIN)/python -c 'from urllib.request import urlopen; urlopen("http://127.0.0.1:18090/", timeout=1)' 2>/dev/null && break; \
+	  kill -0 $$fleet 2>/dev/null || exit 1; sleep 0.5; done; \
+	$(BIN)/swarmtwin deploy robot=mgr policy=$(DEMO_POLICY) simulation=$(DEMO_SIMULATION) broker=mqtt://127.0.0.1:18883 \
+	  camera=http://127.0.0.1:18090/camera video=true output=$(DEMO) overwrite=true && \
+	echo "film: $(DEMO)/deployment.mp4"
+
+faults: setup  # faults brought into running deployments, on a real mosquitto (apt install mosquitto); likewise
+	$(BIN)/python tests/campaigns/faults.py --count $(or $(COUNT),1000) --seed $(or $(SEED),1) --state outputs/faults.jsonl

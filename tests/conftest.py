@@ -1,4 +1,5 @@
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -30,10 +31,33 @@ def robots():
     return {path.stem: Robot.load(path) for path in sorted((REPOSITORY / "conf" / "robot").glob("*.yaml"))}
 
 
+@pytest.fixture(scope="session")
+def empty_store(tmp_path_factory):
+    """A database as swarmtwin makes it for MLflow, with nothing in it yet."""
+    from swarmtwin.tracking import store
+
+    database = tmp_path_factory.mktemp("store") / "mlflow.db"
+    store._make_database(database)
+    return database
+
+
 @pytest.fixture
-def workplace(tmp_path, monkeypatch):
+def bare_workplace(tmp_path, monkeypatch):
     """An empty current folder with an MLflow store of its own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("SWARMTWIN_PARENT_RUN", raising=False)
     return tmp_path
+
+
+@pytest.fixture
+def workplace(bare_workplace, monkeypatch, empty_store):
+    """The same, but the store's tables are copied when they are needed: making them takes more than a second."""
+    from swarmtwin.files import whole_file
+
+    def copy(database):
+        with whole_file(database) as aside:
+            shutil.copyfile(empty_store, aside)
+
+    monkeypatch.setattr("swarmtwin.tracking.store._make_database", copy)
+    return bare_workplace

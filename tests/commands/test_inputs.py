@@ -39,6 +39,12 @@ MISTAKES = [
     ("experiment name=transfer policies=empty output=o", "empty holds no policy of robot 'mgr'"),
     ("experiment name=overview", "artifacts/comparison/mgr holds no comparison of models: run `dvc repro` first"),
     ("experiment name=pictures folder=empty output=o", "empty holds no output of swarmtwin"),
+    ("train -m robot=nosuch model=mlp,gru", "no such robot: 'nosuch'"),
+    ("train -m robot=mgr,mur model=mlp,nosuch", "no such model: 'nosuch'"),
+    ("train -m model=mlp,gru model.nosuch=1", "unknown option 'model.nosuch'"),
+    ("train -m seed=1,2 recording=none", "no recording folder none"),
+    ("learn -m policy=ddpg,td3 'seed=range(1,500)'", "no simulation in artifacts/dynamics/mgr/crnet_synthetic"),
+    ("prepare -m recording=none,neither output=o", "no recording folder none"),
     ("experiment name=hidden_effects robots=[mrg] output=o", "robots: no such robot: 'mrg': did you mean 'mgr'?"),
 ]
 
@@ -57,9 +63,9 @@ def folders(workplace):
 
 
 def test_missing_inputs_are_answered_before_anything_that_computes_is_imported(folders):
-    script = "import json, sys, time; from swarmtwin.commands.app import run_command\n"
+    script = "import json, shlex, sys, time; from swarmtwin.commands.app import run_command\n"
     script += "for line in json.load(sys.stdin):\n"
-    script += "    name, *options = line.split()\n    began = time.process_time()\n"
+    script += "    name, *options = shlex.split(line)\n    began = time.process_time()\n"
     script += "    status = run_command(name, options)\n"
     script += f"    print(int(status), time.process_time() - began, sorted({HEAVY!r} & sys.modules.keys()), flush=True)"
     commands = [command for command, _ in MISTAKES]
@@ -74,6 +80,14 @@ def test_missing_inputs_are_answered_before_anything_that_computes_is_imported(f
         assert (status, heavy) == ("2", "[]"), command
         assert float(cpu_s) < 1, command
     assert {path.name for path in folders.iterdir()} == {"good", "without_runs", "empty", "model", "pipe"}
+
+
+def test_a_sweep_of_which_a_run_has_what_it_reads_goes_on(folders, capfd):
+    assert run_command("prepare", ["-m", "recording=none,good,neither", "output=o"]) != 0
+    errors = capfd.readouterr()
+    assert "no recording folder none" in errors.out + errors.err
+    assert "3" in errors.out
+    assert "no recording folder neither" in errors.out
 
 
 def test_what_a_command_will_not_read_need_not_be_there(workplace, capfd):

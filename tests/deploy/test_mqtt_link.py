@@ -17,6 +17,7 @@ from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 from real_broker import free_port, wait_until
 
+from swarmtwin.configuration import config_folder
 from swarmtwin.deploy.link.broker import Broker
 from swarmtwin.deploy.link.embedded_broker import EmbeddedBroker, broker_at
 from swarmtwin.deploy.link.link import LinkLostError
@@ -39,11 +40,11 @@ def listener():
     """Connect a plain client that keeps the commands that come: (arrival on the monotonic clock, content)."""
     clients = []
 
-    def call(port):
+    def call(port, topic="mkr/command"):
         heard, ready = [], []
         client = Client(CallbackAPIVersion.VERSION2, protocol=4)
         client.reconnect_delay_set(0.05, 0.1)
-        client.on_connect = lambda client, *_: client.subscribe("mkr/command", 1)
+        client.on_connect = lambda client, *_: client.subscribe(topic, 1)
         client.on_subscribe = lambda *_: ready.append(True)
         client.on_message = lambda _, __, message: heard.append((time.monotonic(), _read(message.payload)))
         client.connect("127.0.0.1", port)
@@ -159,22 +160,27 @@ def test_a_message_that_the_broker_keeps_for_vehicles_is_reported(mosquitto, lin
     assert wait_until(lambda: link.foreign_messages.moving == 2)
 
 
-@pytest.mark.parametrize("sign", ["SIGKILL", "clean"])
-def test_the_last_will_tells_all_to_stand_still_unless_the_end_was_clean(mosquitto, link_to, listener, sign):
-    _, heard = listener(mosquitto.port)
+def dying(robot, port):
+    """A process that has sent a first command and waits for its end."""
     code = f"""
         import sys, time, numpy as np
         from pathlib import Path
         from swarmtwin.deploy.link.broker import Broker
         from swarmtwin.deploy.link.mqtt_link import connect
         from swarmtwin.robot import Robot
-        broker = Broker(host="127.0.0.1", port={mosquitto.port})
-        link = connect(Robot.load(Path("conf/robot/mgr.yaml")), broker, "dying", ["1", "2"])
-        link.send({{"1": np.array([40, 40])}})
+        robot = Robot.load(Path({str(config_folder())!r}) / "robot" / "{robot}.yaml")
+        link = connect(robot, Broker(host="127.0.0.1", port={port}), "dying", ["1", "2"])
+        link.send({{"1": robot.command_high}})
         sys.stdin.read()
         link.close()
     """
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(code)], stdin=subprocess.PIPE)
+    return subprocess.Popen([sys.executable, "-c", textwrap.dedent(code)], stdin=subprocess.PIPE)
+
+
+@pytest.mark.parametrize("sign", ["SIGKILL", "clean"])
+def test_the_last_will_tells_all_to_stand_still_unless_the_end_was_clean(mosquitto, link_to, listener, sign):
+    _, heard = listener(mosquitto.port)
+    process = dying("mgr", mosquitto.port)
     assert wait_until(lambda: heard, 20)
     if sign == "clean":
         process.communicate(timeout=10)
@@ -187,6 +193,16 @@ def test_the_last_will_tells_all_to_stand_still_unless_the_end_was_clean(mosquit
     assert wait_until(lambda: len(heard) == 2)
     assert heard[1][1] == {"1": {"L": 0, "R": 0}, "2": {"L": 0, "R": 0}}
     assert heard[1][0] - killed_s < 0.5
+
+
+def test_the_last_will_reaches_vehicles_with_topics_of_their_own(mosquitto, link_to, listener):
+    _, heard = listener(mosquitto.port, "create/+/command")
+    process = dying("create", mosquitto.port)
+    assert wait_until(lambda: heard, 20)
+    process.kill()
+    process.communicate()
+    assert wait_until(lambda: len(heard) == 3)
+    assert [said for _, said in heard[1:]] == [{"v": 0.0, "w": 0.0}] * 2
 
 
 def test_a_broker_that_wants_a_password(start_mosquitto, link_to, tmp_path, monkeypatch):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmtwin.tracking.bare_code import bare, write_bare_code
+from swarmtwin.tracking.bare_code import bare, digest
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "swarmtwin"
 CODE = '''"""A module."""
@@ -53,13 +53,21 @@ def test_a_text_that_is_used_stays():
     assert bare("def f():\n    return 'a text'") != bare("def f():\n    'a text'")
 
 
-def test_the_whole_package_is_kept_and_nothing_in_it_asks_for_docstrings(tmp_path):
-    write_bare_code(SOURCE, tmp_path)
-    files = {file.relative_to(SOURCE) for file in SOURCE.rglob("*.*") if "__pycache__" not in file.parts}
-    assert {file.relative_to(tmp_path) for file in tmp_path.rglob("*.*")} == files
-    for file in files:
-        text = (tmp_path / file).read_text()
-        if file.suffix == ".py":
-            assert bare(text) == text
-            names = {getattr(node, "attr", getattr(node, "id", "")) for node in ast.walk(ast.parse(text))}
-            assert not names & {"__doc__", "getdoc", "getsource", "cleandoc"}
+def test_a_digest_is_of_what_code_does_and_of_all_else_as_it_is(tmp_path):
+    code, page = tmp_path / "code.py", tmp_path / "page.html"
+    digests = []
+    for text in (CODE, f"{CODE}# another comment\n", f"{CODE}ANOTHER = 1\n"):
+        code.write_text(text)
+        page.write_text(text)
+        digests.append((digest(code), digest(page)))
+    (first, _), (commented, _), (changed, _) = digests
+    assert first == commented != changed
+    assert len({of_page for _, of_page in digests}) == 3
+
+
+def test_nothing_in_the_package_asks_for_docstrings():
+    for file in SOURCE.rglob("*.py"):
+        text = bare(file.read_text())
+        assert bare(text) == text
+        names = {getattr(node, "attr", getattr(node, "id", "")) for node in ast.walk(ast.parse(text))}
+        assert not names & {"__doc__", "getdoc", "getsource", "cleandoc"}

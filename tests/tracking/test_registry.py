@@ -4,7 +4,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import mlflow
 import numpy as np
 import pytest
 
@@ -17,14 +16,6 @@ from swarmtwin.tracking.runs import tracked_run
 
 NAME, POLICIES = "mgr-dynamics", "mgr-policy"
 FORK = multiprocessing.get_context("fork")
-
-
-@pytest.fixture(scope="module")
-def empty_store(tmp_path_factory):
-    """A database to copy: making one takes seconds."""
-    database = tmp_path_factory.mktemp("store") / "mlflow.db"
-    mlflow.MlflowClient(f"sqlite:///{database}").search_registered_models()
-    return database
 
 
 @pytest.fixture

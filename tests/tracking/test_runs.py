@@ -160,7 +160,7 @@ def test_runs_whose_process_was_killed_are_closed_by_the_next(workplace):
         assert statuses() == {"killed": "KILLED", "sweep": "KILLED", "other": "RUNNING"}
 
 
-def test_a_store_that_was_killed_while_it_was_made_is_made_anew(workplace):
+def test_a_store_that_was_killed_while_it_was_made_is_made_anew(bare_workplace):
     """With half of MLflow's tables there, MLflow itself does not go on."""
     script = "import os, sys; from sqlalchemy import event, Engine\n"
     script += "made = []\n"
@@ -172,7 +172,7 @@ def test_a_store_that_was_killed_while_it_was_made_is_made_anew(workplace):
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
     with tracked_run("dynamics", "again", {}):
         pass
-    assert sorted(path.name for path in workplace.iterdir()) == [".mlflow.db.lock.partial", "mlflow.db", "mlruns"]
+    assert sorted(path.name for path in bare_workplace.iterdir()) == [".mlflow.db.lock.partial", "mlflow.db", "mlruns"]
 
 
 def test_a_failure_that_the_store_cannot_even_note_is_told_as_it_is(workplace, monkeypatch):

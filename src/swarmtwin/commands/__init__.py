@@ -38,6 +38,10 @@ def main() -> None:
     if name not in COMMANDS:
         print(f"swarmtwin: unknown command {name!r}: {near_miss(name, COMMANDS)}", file=sys.stderr)
         sys.exit(2)
+    from swarmtwin.commands.preloaded import ask
+
+    if (answer := ask(arguments)) is not None:
+        sys.exit(answer)
     from swarmtwin.commands.app import answer_interrupts, run_command
 
     try:

@@ -32,6 +32,7 @@ from swarmtwin.commands.experiment import chosen_studies, studies
 from swarmtwin.commands.option_help import show_help
 from swarmtwin.commands.option_mistakes import check_overrides, explain
 from swarmtwin.commands.outside_config import check_outside_configs
+from swarmtwin.commands.sweep_mistakes import check_sweep
 from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
 from swarmtwin.configuration import config_folder, let_hydra_find_plugins
 from swarmtwin.errors import RefusedError, UserError
@@ -105,6 +106,8 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
                     others = [argument for argument in arguments if not argument.startswith("name=")]
                     sys.argv[1:] = [*others, f"name={study}"]
                 try:
+                    if len(chosen) == 1:
+                        check_sweep(name, config_name, sys.argv[1:])
                     _run_app(name, module_name, config_name, Path(folder) / f"{number:06}")
                 except (HydraException, OmegaConfBaseException) as error:
                     failures.append(UserError(explain(error, config_name, arguments)))
@@ -136,7 +139,7 @@ def _spelled_out(name: str, arguments: list[str]) -> list[str]:
     So it is where a policy is asked for that was learned, and for which task it was: not where one is to be learned.
     Likewise broker=ADDRESS.
     """
-    if name not in ("rollout", "promote", "deploy", "collect"):
+    if name not in ("rollout", "promote", "deploy", "collect", "fleet"):
         return arguments
     spelled = {"policy": "policy.folder", "task": "task.name", "broker": "broker.address"}
     return [re.sub(r"^(policy|task|broker)=", lambda short: f"{spelled[short[1]]}=", one) for one in arguments]

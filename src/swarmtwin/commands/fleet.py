@@ -1,7 +1,6 @@
 """`swarmtwin fleet`: emulated robots on a real broker, under an emulated camera, until Ctrl-C."""
 
 import time
-from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field
@@ -10,6 +9,7 @@ from rich.live import Live
 from rich.text import Text
 
 from swarmtwin.deploy.fleet.fleet import Fleet, FleetSettings
+from swarmtwin.deploy.link.broker import BrokerOptions
 from swarmtwin.deploy.link.embedded_broker import broker_at
 from swarmtwin.robot import Positive, Robot
 from swarmtwin.transitions.inputs import as_texts
@@ -27,9 +27,7 @@ class Options(FleetSettings):
 
     robot: Robot
     vehicles: Annotated[tuple[str, ...], BeforeValidator(as_ids), Field(min_length=1)]
-    broker: str
-    password_file: Path | None
-    ca_file: Path | None
+    broker: BrokerOptions
     camera_port: Annotated[int, Field(ge=0, le=65535)]
     duration_s: Positive | None
 
@@ -43,12 +41,12 @@ def run(options: Options) -> dict[str, Any]:
     console = Console()
     settings = FleetSettings(**{name: getattr(options, name) for name in FleetSettings.model_fields})
     with (
-        broker_at(options.broker, options.password_file, options.ca_file) as broker,
+        broker_at(options.broker.address, options.broker.password_file, options.broker.ca_file) as broker,
         Fleet(options.robot, options.vehicles, broker, options.camera_port, settings) as fleet,
     ):
         for line in (
             f"{len(fleet.vehicles)} × {options.robot.title}: {', '.join(fleet.vehicles)}",
-            f"broker    {broker.address}",
+            f"broker    {broker.address}{_about_broker(options.broker.address)}",
             f"camera    {fleet.camera_url}   to look at: {fleet.camera_url.removesuffix('camera')}",
             f"firmware  {_about_firmware(fleet)}",
         ):
@@ -58,6 +56,12 @@ def run(options: Options) -> dict[str, Any]:
         except KeyboardInterrupt:
             raise KeyboardInterrupt("the emulated robots are switched off") from None
     return {"vehicles": len(fleet.vehicles), "camera": fleet.camera_url, "broker": broker.address}
+
+
+def _about_broker(asked: str) -> str:
+    if asked.partition("://")[0] != "embedded":
+        return ""
+    return "   (embedded, for a first try: it lets anybody in; for robots that matter, mosquitto)"
 
 
 def _about_firmware(fleet: Fleet) -> str:

@@ -160,9 +160,25 @@ def _foreign(named: str, robot: Robot) -> None:
         raise UserError(f"there is nothing at path={named}: name what is to be imported")
 
 
+def _password_file(named: str, robot: Robot | None) -> None:
+    if not Path(named).is_file():
+        raise UserError(f"broker.password_file {named} is missing: name a file whose first line is the password")
+
+
+def _certificate(named: str, robot: Robot | None) -> None:
+    if not Path(named).is_file():
+        raise UserError(f"broker.ca_file {named} is missing: name the certificate of the broker's authority")
+
+
 def _video(named: str, robot: Robot) -> None:
     if not Path(named).exists():
         raise UserError(f"there is nothing at video={named}: name a video file or a folder of pictures")
+
+
+def _killed(named: str, robot: Robot) -> None:
+    output = Path(named).absolute()
+    if not output.with_name(f".{output.name}.partial").is_dir():
+        raise UserError(f"there is nothing to recover for {named}: no deployment to it was killed")
 
 
 def _calibration(named: str, robot: Robot) -> None:
@@ -189,6 +205,10 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "open_loop": _recording,
     "path": _foreign,
     "drive": _drive,
+    "broker.password_file": _password_file,
+    "broker.ca_file": _certificate,
     "video": _video,
+    "recover": _killed,
+    "policy": _policy,
     "calibration": _calibration,
 }

@@ -32,7 +32,7 @@ class ChildProcess:
         """
         self.module = module
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            [sys.executable, "-P", "-m", module],  # -P: no file of the current folder stands in for a library
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

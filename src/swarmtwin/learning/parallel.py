@@ -1,10 +1,11 @@
 """Jobs that run side by side in joblib's processes, which tell how far they are and never outlive this one."""
 
 import _thread
+import contextlib
+import multiprocessing
 import os
 import signal
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import AuthenticationError
 from multiprocessing.connection import Client, Listener
@@ -12,9 +13,13 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from joblib import Parallel, delayed
+from joblib import Parallel, cpu_count, delayed
+from joblib.externals.loky.backend.context import set_start_method
 
 from swarmtwin.errors import UserError
+
+PACKAGES = ("torch", "torch._dynamo", "lightning", "pandas", "scipy.optimize", "scipy.stats", "stable_baselines3")
+"""What most jobs import."""
 
 Result = TypeVar("Result", covariant=True)
 Report = Callable[..., None]
@@ -28,8 +33,8 @@ class Job(Protocol[Result]):
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0))
+    """Return how many cores this process may use; the environment variable LOKY_MAX_CPU_COUNT may allow it fewer."""
+    return int(cpu_count())
 
 
 def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, processes: int | None) -> list[Result]:
@@ -47,12 +52,13 @@ def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, process
     at_a_time = min(len(jobs), processes or cores())
     if at_a_time <= 1:
         return [job.run(report) for job in jobs]
-    started_in = (os.getpid(), Path.cwd(), tuple(os.environ.items()))  # where these changed, processes start anew
+    started_in = (str(Path.cwd()), tuple(os.environ.items()))  # where these changed, processes start anew
     with _Listening(report) as listening:
         calls = [delayed(_work)(job, listening.door if report else None) for job in jobs]
         pool = Parallel(at_a_time, "loky", batch_size=1, max_nbytes=None, initializer=_begin, initargs=started_in)
         try:
-            return list(pool(calls))
+            with _forked_from_one():
+                return list(pool(calls))
         except BrokenProcessPool:
             raise UserError(
                 "a process that worked for this command was killed, as when memory runs out: make room and run the "
@@ -60,6 +66,20 @@ def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, process
             ) from None
         except KeyboardInterrupt:
             raise listening.failure or KeyboardInterrupt from None
+
+
+@contextlib.contextmanager
+def _forked_from_one() -> Iterator[None]:
+    """Let joblib fork its processes, as long as the block lasts, from one that has imported what takes seconds.
+
+    That one was started anew, so that no thread and no GPU of this process is copied; it ends with this one.
+    """
+    multiprocessing.set_forkserver_preload(list(PACKAGES))
+    set_start_method("forkserver", force=True)
+    try:
+        yield
+    finally:
+        set_start_method("loky", force=True)
 
 
 class _Door(NamedTuple):
@@ -117,13 +137,17 @@ class _Listening:
             _thread.interrupt_main()
 
 
-def _begin(parent: int, *_: object) -> None:
+def _begin(folder: str, environment: tuple[tuple[str, str], ...]) -> None:
     """Prepare a process: it leaves Ctrl-C, which reaches the whole group, to its parent, and ends when that ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(0.5)
+        parent.join()
         os._exit(1)
 
     Thread(target=watch, daemon=True).start()

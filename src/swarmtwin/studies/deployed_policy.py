@@ -53,7 +53,7 @@ def imagined(
 
 
 def deployment_metrics(real: Rollout | None, simulated: Rollout | None, counters: dict[str, Any]) -> dict[str, Any]:
-    """Return all figures of a deployment, as they stand in metrics.json."""
+    """Return all figures of a deployment, as they stand in metrics.json; rewards over as long as the vehicles drove."""
     metrics: dict[str, Any] = {"control": counters}
     if real is not None:
         metrics["robots"] = {
@@ -66,7 +66,11 @@ def deployment_metrics(real: Rollout | None, simulated: Rollout | None, counters
         }
     if real is not None and simulated is not None:
         metrics["simulation"] = plain_figures(figures_of(simulated))
-        metrics["simulation_rewards_below"] = float((simulated.mean_reward < real.mean_reward[0]).mean())
+        as_long = simulated.until(
+            int(real.periods[0])
+        )  # a reward is a mean over time: the end, at the target, earns more
+        metrics["simulation"]["reward"] = plain_figures(figures_of(as_long))["reward"]
+        metrics["simulation_rewards_below"] = float((as_long.mean_reward < real.mean_reward[0]).mean())
     return metrics
 
 

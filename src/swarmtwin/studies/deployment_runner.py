@@ -18,7 +18,7 @@ from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.deployment_recording import write_about, write_deployment
 from swarmtwin.deploy.control.observer import Tracks
 from swarmtwin.deploy.control.timing import median_and_p99
-from swarmtwin.deploy.link.broker import Broker
+from swarmtwin.deploy.link.broker import Broker, BrokerOptions
 from swarmtwin.deploy.link.link import Link
 from swarmtwin.deploy.link.mqtt_link import connect
 from swarmtwin.deploy.live_view.view_process import LiveView, Scene
@@ -34,20 +34,6 @@ from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.world.rendering.canvas import COLOURS
 
 log = logging.getLogger(__name__)
-
-
-class BrokerOptions(StrictModel):
-    """Which MQTT broker.
-
-    Attributes:
-        address: mqtt://user@host:port, or mqtts:// where encrypted.
-        password_file: a file whose first line is the password.
-        ca_file: the certificate that signed the broker's.
-    """
-
-    address: str
-    password_file: Path | None = None
-    ca_file: Path | None = None
 
 
 class PageOptions(StrictModel):

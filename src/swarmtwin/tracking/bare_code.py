@@ -1,11 +1,11 @@
 """What code does, as text: without comments, docstrings and layout, in which the same code may be written.
 
-The first stage of `dvc.yaml` writes it (`python -m swarmtwin.tracking.bare_code SOURCE OUTPUT`), and the others hang on
-that in place of the code itself: a sentence in a docstring makes no result stale, a changed statement does.
+The first stage of `dvc.yaml` takes the digest of that (`pipeline.py`), and the others hang on it in place of the code
+itself: a sentence in a docstring makes no result stale, a changed statement does.
 """
 
 import ast
-import sys
+import hashlib
 from pathlib import Path
 
 
@@ -28,15 +28,7 @@ def bare(code: str) -> str:
     return ast.unparse(_WithoutTexts().visit(ast.parse(code))) + "\n"
 
 
-def write_bare_code(source: Path, output: Path) -> None:
-    """Write what the code in a folder does into another, file by file; files of other kinds as they are."""
-    for file in sorted(source.rglob("*")):
-        if file.is_dir() or "__pycache__" in file.parts:
-            continue
-        place = output / file.relative_to(source)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(bare(file.read_text()).encode() if file.suffix == ".py" else file.read_bytes())
-
-
-if __name__ == "__main__":
-    write_bare_code(*map(Path, sys.argv[1:]))
+def digest(file: Path) -> str:
+    """Identify what the code in a file does; a file of another kind as it is."""
+    content = bare(file.read_text()).encode() if file.suffix == ".py" else file.read_bytes()
+    return hashlib.sha256(content).hexdigest()

@@ -1,10 +1,10 @@
 """Which code each stage of `dvc.yaml` computes with, followed from its command through imports.
 
-`make dependencies` (`python -m swarmtwin.tracking.pipeline`) writes the `artifacts/code/...` lines of every stage's
-`deps:`; a test compares. They stand for the files in `src/swarmtwin/`, of which the stage `code` writes what they do
-(`bare_code.py`): it hangs on all of them and the others on it, so that `dvc repro` always looks at the code first. Each
-robot has its own, as DVC refuses to look after what another process's stage is reading.
-Folders of data and artifacts, and parameters, stand in `dvc.yaml` as they are written there by hand.
+The stage `code` writes it (`python -m swarmtwin.tracking.pipeline ROBOT OUTPUT DIGEST`): for every stage of the robot a
+file `artifacts/code/<robot>/<stage>`, with the digests of what the code does (`bare_code.py`) that it computes with. It
+hangs on all code and the others on that file, so that `dvc repro` always looks at the code first. Each robot has its
+own, as DVC refuses to look after what another process's stage is reading. It cannot hang on `dvc.yaml` itself, so the
+digest of what stands there is part of its command: `make dependencies` (no arguments) writes that; a test compares.
 The module is in `tracking/` because it answers the question of that room, what a result came from; it reads the other
 rooms as text and imports none of them.
 
@@ -17,16 +17,20 @@ A stage hangs on the module of its command, on whatever that imports, wherever i
   stage is made from, so a line in a plot makes no result stale.
 """
 
+import hashlib
+import json
 import re
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from swarmtwin.tracking.bare_code import digest
 from swarmtwin.tracking.imports import Code, PluginKind, matches
-from swarmtwin.tracking.stages import Stage, read_stages
+from swarmtwin.tracking.stages import read_stages
 
 DRAWING = ("*_plots.py", "plotting.py", "progress_bars.py", "report/*", "rendering/*", "pictures/*")
 """Files that only draw, print or lay out what other modules have computed, as patterns of their paths' ends."""
@@ -106,59 +110,25 @@ class Pipeline:
         several = any(len(names) > 1 for names in by_template.values())
         return [] if several else sorted(set().union(*by_template.values()))
 
-    def code_of_template(self, template: str) -> list[str]:
-        """Return the lines of code in the `deps:` of a stage as `dvc.yaml` spells it, for all its items at once.
-
-        A file that only some items hang on is told by the item's place in its name, `models/${item.model}.py`; where
-        its name does not follow from the item, all hang on it. A folder stands for all that is in it.
-        """
-        stages = [stage for stage in self.stages.values() if stage.template == template]
-        files = set().union(*(self.code[stage.name] for stage in stages))
-        spelled = {file: self._spelled(file, stages) for file in files}
-        whole = {file for file, text in spelled.items() if text == str(file)}
-        paths = {*spelled.values()} - set(map(str, whole)) | set(map(str, self._folders(whole)))
-        return sorted(path.replace("src/swarmtwin/", "artifacts/code/${item.robot}/", 1) for path in paths)
-
-    def _spelled(self, file: Path, stages: Sequence[Stage]) -> str:
-        """Return how the name of a file follows from the items of those stages that hang on it; else its name."""
-        users = [stage for stage in stages if file in self.code[stage.name]]
-        places = {place for stage in users for place, item in stage.items.items() if item == file.stem}
-        for place in sorted(places) if len(users) < len(stages) else ():
-            if all(file.with_stem(stage.items[place]) in self.code[stage.name] for stage in stages):
-                return str(file.with_stem(f"${{item.{place}}}"))
-        return str(file)
-
-    def _folders(self, files: set[Path]) -> set[Path]:
-        """Put a folder in the place of its files where all that it holds is among them."""
-        whole: dict[Path, set[Path]] = {}
-        for folder in sorted({parent for file in files for parent in file.parents if len(parent.parts) > 2}):
-            held = (file.relative_to(self.repository) for file in (self.repository / folder).rglob("*.*"))
-            inside = {file for file in held if "__pycache__" not in file.parts} - self.source.empty_files
-            if inside <= files and not any(parent in whole for parent in folder.parents):
-                whole[folder] = inside
-        return (files - set().union(*whole.values())) | set(whole)
+    def write_code(self, robot: str, output: Path) -> None:
+        """Write for each stage of a robot a file with the code that it hangs on: `<digest>  <path>` in each line."""
+        output.mkdir(parents=True, exist_ok=True)
+        stages = [stage for stage in self.stages.values() if stage.items["robot"] == robot]
+        files = sorted(set().union(*(self.code[stage.name] for stage in stages)))
+        lines = {file: f"{digest(self.repository / file)}  {file.as_posix()}\n" for file in files}
+        for stage in stages:
+            text = "".join(lines[file] for file in files if file in self.code[stage.name])
+            (output / stage.code_file).write_text(text)
 
 
-def with_dependencies(pipeline: Pipeline) -> str:
-    """Return the text of a repository's `dvc.yaml` with the code that its stages hang on; the rest stays as it is."""
-    lines, stage, indent = [], "", None
-    for line in (pipeline.repository / "dvc.yaml").read_text().splitlines():
-        if name := re.fullmatch(r"  (\w+):", line):
-            stage = name[1]
-        if indent is not None and not line.startswith(f"{indent}- "):
-            lines += [f"{indent}- {path}" for path in pipeline.code_of_template(stage)]
-            indent = None
-        if indent is None or not line.startswith(f"{indent}- artifacts/code/"):
-            lines.append(line)
-        if found := re.fullmatch(r"( +)deps:", line):
-            indent = f"{found[1]}  "
-    return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    """Write the code that stages hang on into `dvc.yaml` in the current folder."""
-    (Path.cwd() / "dvc.yaml").write_text(with_dependencies(Pipeline(Path.cwd())))
+def with_digest(text: str) -> str:
+    """Return the text of a `dvc.yaml` in which the digest of its stages is that of those that stand there."""
+    stages = json.dumps(yaml.safe_load(text)["stages"], sort_keys=True)
+    return re.sub(r"(- digest_of_stages: )\w+", rf"\g<1>{hashlib.sha256(stages.encode()).hexdigest()[:16]}", text)
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:]:
+        Pipeline(Path.cwd()).write_code(sys.argv[1], Path(sys.argv[2]))
+    else:
+        Path("dvc.yaml").write_text(with_digest(Path("dvc.yaml").read_text()))

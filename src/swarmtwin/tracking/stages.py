@@ -39,6 +39,11 @@ class Stage:
         return self.name.partition("@")[0]
 
     @property
+    def code_file(self) -> str:
+        """The file in `artifacts/code/<robot>/` that tells which code it hangs on."""
+        return self.name.replace("@", "-")
+
+    @property
     def options(self) -> dict[str, str]:
         """The options of its command."""
         return dict(argument.split("=", 1) for argument in self.arguments[1:])
@@ -59,15 +64,17 @@ def read_stages(repository: Path) -> dict[str, Stage]:
     """Return every stage of a repository's `dvc.yaml` that runs a command of swarmtwin, by name."""
     with Repo(str(repository)) as repo:
         graph = repo.index.graph
-        return {node.name: _stage(node, graph) for node in graph if _runs_command(node)}
+        nodes = [node for node in graph if _runs_command(node)]
+        definitions = nodes[0].dvcfile.resolver.definitions  # every node's own would parse the file once more
+        return {node.name: _stage(node, graph, definitions) for node in nodes}
 
 
 def _runs_command(node: Any) -> bool:
     return isinstance(node, PipelineStage) and "swarmtwin" in shlex.split(node.cmd)
 
 
-def _stage(node: Any, graph: Any) -> Stage:
-    """Return a stage of DVC's; `graph` leads from each stage to those that it reads."""
+def _stage(node: Any, graph: Any, definitions: Mapping[str, Any]) -> Stage:
+    """Return a stage of DVC's; `graph` leads from each to those that it reads, `definitions` are the file's entries."""
     words = shlex.split(node.cmd)
     upstream = [node]
     for reader in upstream:  # which grows meanwhile
@@ -75,7 +82,7 @@ def _stage(node: Any, graph: Any) -> Stage:
     parameters = [entry for entry in node.deps if isinstance(entry, ParamsDependency)]
     return Stage(
         name=node.name,
-        items={place: str(value) for place, value in _items(node).items()},
+        items={place: str(value) for place, value in _items(node.name, definitions).items()},
         arguments=tuple(words[words.index("swarmtwin") + 1 :]),
         deps=tuple(entry.def_path for entry in node.deps if entry not in parameters),
         params={entry.def_path: list(entry.params) for entry in parameters},
@@ -84,10 +91,10 @@ def _stage(node: Any, graph: Any) -> Stage:
     )
 
 
-def _items(node: Any) -> dict[str, Any]:
+def _items(name: str, definitions: Mapping[str, Any]) -> dict[str, Any]:
     """Return what fills a stage's places, by their names in its matrix."""
-    template, _, key = node.name.partition("@")
+    template, _, key = name.partition("@")
     if not key:
         return {}
-    chosen: dict[str, Any] = node.dvcfile.resolver.definitions[template].normalized_iterable[key]
+    chosen: dict[str, Any] = definitions[template].normalized_iterable[key]
     return chosen

@@ -113,6 +113,13 @@ class Rollout:
         farthest: np.ndarray = self.target_distance_mm[-1].max(axis=1)
         return farthest
 
+    def until(self, period: int) -> "Rollout":
+        """Return the first so many periods of the roll-outs."""
+        moments = {name: getattr(self, name)[: period + 1] for name in ("pose", "leg")}
+        along_time = ("command", "reward", "counted", "collided", "left_arena", "at_target", "reached")
+        parts = {name: getattr(self, name)[:period] for name in along_time}
+        return Rollout(self.robot, self.arena, self.task, self.scenario, **moments, **parts)
+
     def where(self, worlds: np.ndarray) -> "Rollout":
         """Return some of the roll-outs: indices (n,) or a mask (W,)."""
         along_time = ("pose", "leg", "command", "reward", "counted", "collided", "left_arena", "at_target", "reached")

@@ -55,7 +55,15 @@ class CameraProcess:
         effects = [parse_effects(entries, robot, len(self._vehicles)) for entries in told["effects"]]
         conditions = CameraConditions.parse(told["camera"], "camera")
         self._shutter = Shutter(
-            robot, self._vehicles, effects, conditions, self._memory, told["seed"], told["fps"], self._arrive_later
+            robot,
+            self._vehicles,
+            effects,
+            conditions,
+            self._memory,
+            told["seed"],
+            told["fps"],
+            self._arrive_later,
+            told["rays_per_side"],
         )
         self._newest: tuple[int, Picture] | None = None
         self._arrived = asyncio.Event()
@@ -131,9 +139,10 @@ class CameraProcess:
             asked = TypeAdapter(dict[str, tuple[float, float, float]]).validate_json(await request.body())
         except ValidationError as error:
             return _mistake(f'write {{"1": [x_mm, y_mm, heading_rad], ...}}: {error.errors()[0]["msg"]}')
-        if strangers := sorted(set(asked) - set(self._vehicles)):
-            return _mistake(f"no vehicle {strangers[0]!r} in this fleet: {', '.join(self._vehicles)}")
-        orders = self._memory.change_orders(lambda before: before.with_placed(asked))
+        try:
+            orders = self._memory.change_orders(lambda before: before.with_placed(asked))
+        except UserError as error:
+            return _mistake(str(error))
         end_s = time.monotonic() + 2.0
         while not self._memory.have_placed(orders, asked):
             if time.monotonic() > end_s:
@@ -147,8 +156,10 @@ class CameraProcess:
         except ValidationError as error:
             first = error.errors()[0]
             return _mistake(f"{'.'.join(map(str, first['loc']))}: {first['msg']}")
-        change = {"robots": asked.robots, "camera": asked.camera}
-        self._memory.change_orders(lambda before: before.model_copy(update=change))
+        try:
+            self._memory.change_orders(lambda before: before.with_faults(asked.robots, asked.camera))
+        except UserError as error:
+            return _mistake(str(error))
         return JSONResponse({})
 
 

@@ -1,6 +1,7 @@
 """One stand-in vehicle that moves in real time, among others and within walls."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -65,7 +66,21 @@ class EmulatedVehicle:
         others = np.broadcast_to(others_mm.T.reshape(2, -1, 1, 1), (2, 2, len(others_mm), 1, 1))
         period = Period(given, given, self.step_s, progress, others)
         noise = self._rng.standard_normal((1, self._physics.noises, 1, 1), np.float32)
-        self._state = advance(self._physics, self._state, period, noise)
+        self._last_step = self._state, period, noise, others_mm
+        self._move(self._state, period, noise, others_mm)
+
+    def cut(self, duration_s: float, shortest_s: float = 5e-4) -> None:
+        """Let the last time step have been shorter, since a command has come within it.
+
+        Its noise is shortened in proportion, so that the vehicle is where it was on its way.
+        """
+        state, period, noise, others_mm = self._last_step
+        duration_s = max(duration_s, shortest_s)
+        scaled = noise * np.float32(np.sqrt(duration_s / self.step_s))
+        self._move(state, replace(period, duration_s=duration_s), scaled, others_mm)
+
+    def _move(self, state: np.ndarray, period: Period, noise: np.ndarray, others_mm: np.ndarray) -> None:
+        self._state = advance(self._physics, state, period, noise)
         if len(others_mm):
             self._push(others_mm)
         np.clip(self._state[0], self._arena.x[0] - self.wall_mm, self._arena.x[1] + self.wall_mm, self._state[0])

@@ -148,12 +148,17 @@ class FleetMemory:
         return None
 
     def change_orders(self, change: Callable[[Orders], Orders]) -> Orders:
-        """Replace the orders by what `change` makes of them, one process at a time; return the new ones."""
+        """Replace the orders by what `change` makes of them, one process at a time; return the new ones.
+
+        Raises:
+            UserError: they name a vehicle that there is not.
+        """
         with self._writing:
             fcntl.lockf(self.descriptor, fcntl.LOCK_EX)
             try:
                 number = self.orders_number | 1
                 after = change(self.orders() or Orders())
+                after.check(self.vehicles)
                 content = after.model_dump_json().encode()
                 if len(content) + 16 > self.orders_bytes:
                     raise ValueError("orders are too long")

@@ -1,10 +1,11 @@
 """What a fleet can be told while it runs: where its vehicles are put, and what goes wrong."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 from pydantic import Field
 
+from swarmtwin.errors import UserError
 from swarmtwin.strict_model import StrictModel
 
 Probability = Annotated[float, Field(ge=0, le=1)]
@@ -41,6 +42,8 @@ class CameraFaults(StrictModel):
         frozen: the same picture again and again, each with a stamp of its own.
         clock_s: the camera's clock is ahead by so much.
         hidden: vehicles whose markers are not seen.
+        swapped: pairs of vehicles of which each wears the other's marker.
+        shift_px: somebody has bumped into the camera: its pictures are displaced, to the right and downwards.
     """
 
     drop: Probability = 0.0
@@ -49,6 +52,8 @@ class CameraFaults(StrictModel):
     frozen: bool = False
     clock_s: Annotated[float, Field(ge=-1e9, le=1e9)] = 0.0
     hidden: frozenset[str] = frozenset()
+    swapped: tuple[tuple[str, str], ...] = ()
+    shift_px: tuple[float, float] = (0.0, 0.0)
 
 
 class Placement(StrictModel):
@@ -82,6 +87,24 @@ class Orders(StrictModel):
             vehicle: Placement(number=self.placement_number(vehicle) + 1, pose=pose) for vehicle, pose in poses.items()
         }
         return self.model_copy(update={"placements": {**self.placements, **placed}})
+
+    def with_faults(
+        self, robots: Mapping[str, RobotFaults] | None = None, camera: CameraFaults | None = None
+    ) -> "Orders":
+        """Return orders with other faults; those that are not given stay as they are."""
+        given = {"robots": robots, "camera": camera}
+        return self.model_copy(update={name: value for name, value in given.items() if value is not None})
+
+    def check(self, vehicles: Sequence[str]) -> None:
+        """Refuse orders for vehicles that there are not.
+
+        Raises:
+            UserError: naming the first of them.
+        """
+        pairs = [vehicle for pair in self.camera.swapped for vehicle in pair]
+        for vehicle in (*self.placements, *self.robots, *self.camera.hidden, *pairs):
+            if vehicle not in vehicles:
+                raise UserError(f"no vehicle {vehicle!r} in this fleet: {', '.join(vehicles)}")
 
     def placement_number(self, vehicle: str) -> int:
         """Return how often a vehicle was put somewhere."""

@@ -60,7 +60,6 @@ class RobotProcess:
 
     def run(self) -> None:
         """Drive for ever."""
-        step_s = self._vehicle.step_s
         next_s = time.monotonic()
         ready = False
         while True:
@@ -69,23 +68,34 @@ class RobotProcess:
                 self._skipped_s += now_s - next_s
                 next_s = now_s
             while next_s <= now_s:
-                self._step(next_s, next_s + step_s)
-                next_s += step_s
+                next_s = self._step(next_s)
             if not ready:
                 ready = True
-                say_ready(step_s=step_s)
-            self._exchange(max(next_s - time.monotonic(), 0.0))
+                say_ready(step_s=self._vehicle.step_s)
+            self._exchange(max(min(next_s, self._path.next_s) - time.monotonic(), 0.0))
+            now_s = time.monotonic()
+            if now_s < next_s and self._hear(now_s):
+                self._vehicle.cut(now_s - (next_s - self._vehicle.step_s))
+                next_s = self._step(now_s)
 
-    def _step(self, from_s: float, to_s: float) -> None:
+    def _hear(self, now_s: float) -> bool:
+        """Take the messages that have come; return whether the vehicle is told something else now."""
+        before = self._firmware.command(now_s)
+        for message in self._path.due(now_s):
+            self._heard += self._firmware.receive(message, now_s)
+        return bool((self._firmware.command(now_s) != before).any())
+
+    def _step(self, from_s: float) -> float:
+        """Let a time step begin; return when it ends."""
         self._follow_orders()
-        for message in self._path.due(from_s):
-            self._heard += self._firmware.receive(message, from_s)
+        self._hear(from_s)
         command = self._firmware.command(from_s)
         others_mm = self._memory.poses(from_s)[self._others, :2]
         start = from_s, self._vehicle.pose.copy()
         self._vehicle.step(command, from_s - self._session_began_s, others_mm)
-        end = to_s, self._vehicle.pose
+        end = from_s + self._vehicle.step_s, self._vehicle.pose
         self._memory.write(self._index, start, end, command, self._placed, self._skipped_s, self._heard)
+        return end[0]
 
     def _follow_orders(self) -> None:
         number = self._memory.orders_number

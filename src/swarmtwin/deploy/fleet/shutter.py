@@ -52,6 +52,7 @@ class Shutter:
         seed: int,
         fps: float,
         publish: Callable[[Picture, float], None],
+        rays_per_side: int,
         quality: int = 92,
     ) -> None:
         """Hang the camera up.
@@ -65,12 +66,13 @@ class Shutter:
             seed: of the pictures' noise and of the chance of faults.
             fps: pictures in a second.
             publish: is handed each picture, and how much later it is to arrive, in s.
+            rays_per_side: see `OverheadCamera`.
             quality: of the compression.
 
         Raises:
             UserError: a vehicle's marker cannot be rendered.
         """
-        self._camera = OverheadCamera(robot, vehicles, conditions)
+        self._camera = OverheadCamera(robot, vehicles, conditions, rays_per_side=rays_per_side)
         self.size = self._camera.size
         self.fps, self.quality = fps, quality
         self.is_watched = threading.Event()
@@ -109,10 +111,22 @@ class Shutter:
 
     def _picture(self, time_s: float) -> bytes:
         pose, velocity = self._memory.poses(time_s), self._memory.velocities(time_s)
+        wears = self._worn_markers()
         seen = np.array([conditions.seen(one) for conditions, one in zip(self._conditions, pose, strict=True)])
-        image = self._camera.render(seen, self._rng, self._faults.hidden, velocity)
+        image = self._camera.render(seen[wears], self._rng, self._faults.hidden, velocity[wears])
+        if any(self._faults.shift_px):
+            shift = np.array([[1, 0, self._faults.shift_px[0]], [0, 1, self._faults.shift_px[1]]], np.float32)
+            image = cv2.warpAffine(image, shift, self.size, borderMode=cv2.BORDER_REPLICATE)
         _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.quality])
         return np.asarray(jpeg).tobytes()
+
+    def _worn_markers(self) -> list[int]:
+        """Return for each marker (V,) the index of the vehicle that wears it."""
+        names = list(self._camera.vehicles)
+        for one, other in self._faults.swapped:
+            here, there = names.index(one), names.index(other)
+            names[here], names[there] = names[there], names[here]
+        return [self._camera.vehicles.index(name) for name in names]
 
     def _look_at_orders(self) -> None:
         number = self._memory.orders_number

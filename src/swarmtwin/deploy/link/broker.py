@@ -74,13 +74,13 @@ class Broker(StrictModel):
         if parts.password is not None:
             raise UserError(
                 f"broker={shown}: no password in an address, which others see: put it into "
-                f"a file and name that as password_file=FILE, or into the variable {password_variable}"
+                f"a file and name that as broker.password_file=FILE, or into the variable {password_variable}"
             )
         tls = parts.scheme == "mqtts"
         if ca_file is not None and not ca_file.is_file():
-            raise UserError(f"ca_file {ca_file} is missing: name the certificate of the broker's authority")
+            raise UserError(f"broker.ca_file {ca_file} is missing: name the certificate of the broker's authority")
         if ca_file is not None and not tls:
-            raise UserError(f"broker={address} is not encrypted, ca_file would not be used: write mqtts://")
+            raise UserError(f"broker={address} is not encrypted, broker.ca_file would not be used: write mqtts://")
         password = _password(password_file, password_variable) if parts.username else None
         return cls(
             host=parts.hostname,
@@ -92,6 +92,20 @@ class Broker(StrictModel):
         )
 
 
+class BrokerOptions(StrictModel):
+    """A broker as a user names it to a command.
+
+    Attributes:
+        address: see `Broker.at`.
+        password_file: likewise.
+        ca_file: likewise.
+    """
+
+    address: str
+    password_file: Path | None = None
+    ca_file: Path | None = None
+
+
 def _password(file: Path | None, variable: str) -> SecretStr | None:
     if file is None:
         found = os.environ.get(variable)
@@ -99,4 +113,4 @@ def _password(file: Path | None, variable: str) -> SecretStr | None:
     try:
         return SecretStr(file.read_text().partition("\n")[0].rstrip("\r"))
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"password_file {file} cannot be read: {error}") from None
+        raise UserError(f"broker.password_file {file} cannot be read: {error}") from None

@@ -42,4 +42,4 @@ def _tls_context(broker: Broker) -> ssl.SSLContext:
     try:
         return ssl.create_default_context(cafile=None if broker.ca_file is None else str(broker.ca_file))
     except (ssl.SSLError, OSError) as error:
-        raise UserError(f"ca_file {broker.ca_file} holds no certificate (PEM): {error}") from None
+        raise UserError(f"broker.ca_file {broker.ca_file} holds no certificate (PEM): {error}") from None

@@ -38,15 +38,24 @@ class MqttLink:
         longest_silence_s: where the broker has not passed on a message for so long, only commands at rest are sent on.
     """
 
-    def __init__(self, client: Client, message_format: MessageFormat, broker: Broker, longest_silence_s: float) -> None:
+    def __init__(
+        self,
+        client: Client,
+        message_format: MessageFormat,
+        broker: Broker,
+        longest_silence_s: float,
+        will_keepers: Sequence[Client] = (),
+    ) -> None:
         self.robot = message_format.robot
         self.broker = broker
         self.message_format = message_format
         self.longest_silence_s = longest_silence_s
         self._client = client
+        self._will_keepers = tuple(will_keepers)
         self._echoes = Echoes()
         self._announced: dict[str, float] = {}
         self._ready = threading.Event()
+        self._answered = threading.Event()  # at the first connection: yes or no
         self._refusal: str | None = None
         self._lost_because = "it was never connected"
         self._closed = False
@@ -114,20 +123,24 @@ class MqttLink:
         if self._closed:
             return
         self._closed = True
-        self._client.disconnect()
-        self._client.loop_stop()
+        for client in (self._client, *self._will_keepers):
+            client.disconnect()
+        for client in (self._client, *self._will_keepers):
+            client.loop_stop()
         self._ready.clear()
         self._lost_because = "it was closed"
 
     def _open(self) -> None:
         broker = self.broker
-        try:
-            self._client.connect(broker.host, broker.port, keepalive=broker.keepalive_s)
-        except OSError as error:
-            raise UserError(_why_unreachable(broker, error)) from None
-        self._client.loop_start()
-        answered = self._ready.wait(5.0)
-        if self._refusal or not answered:
+        for client in (self._client, *self._will_keepers):
+            try:
+                client.connect(broker.host, broker.port, keepalive=broker.keepalive_s)
+            except OSError as error:
+                self.close()
+                raise UserError(_why_unreachable(broker, error)) from None
+            client.loop_start()
+        self._answered.wait(5.0)
+        if not self._ready.is_set():
             self.close()
             reason = self._refusal or f"it does not answer as a broker does ({self._lost_because})"
             raise UserError(f"broker {broker.address}: {reason}")
@@ -148,7 +161,9 @@ class MqttLink:
             if code.is_failure:
                 self._refuse(f"{self.broker.user or 'this client'} may not read {topic}: allow it in its access list")
                 return
+        self._refusal = None
         self._ready.set()
+        self._answered.set()
 
     def _on_disconnect(
         self, _: Client, __: Any, ___: DisconnectFlags, code: ReasonCode, ____: Properties | None
@@ -156,7 +171,8 @@ class MqttLink:
         was_connected = self._ready.is_set()
         self._ready.clear()
         self._echoes.forget()
-        self._lost_because = str(code)
+        self._lost_because = self._refusal or str(code)
+        self._answered.set()
         if was_connected and not self._closed:
             logger.warning("connection to the broker %s lost (%s); trying again", self.broker.address, code)
 
@@ -180,10 +196,11 @@ class MqttLink:
             self._announced = {**self._announced, vehicle: time.monotonic()}
 
     def _refuse(self, reason: str) -> None:
-        self._refusal = self._lost_because = reason
-        if self._ready.is_set() or not self._closed:
+        if self._answered.is_set() and reason != self._refusal:
             logger.warning("broker %s: %s", self.broker.address, reason)
+        self._refusal = self._lost_because = reason
         self._ready.clear()
+        self._answered.set()
 
 
 def connect(
@@ -195,8 +212,8 @@ def connect(
         robot: whose vehicles are to be spoken to.
         broker: through which broker.
         name: of this client, seen in the broker's log; a random part makes it the only one.
-        vehicles: whom the broker tells to stand still when this process dies, where one message can tell the whole
-            group: the third line of defence, after a second or more.
+        vehicles: whom the broker tells to stand still when this process dies or freezes: the third line of defence.
+            Where each vehicle has a topic of its own, each takes a connection more: a connection has one last will.
         longest_silence_s: see `MqttLink`.
 
     Raises:
@@ -204,10 +221,11 @@ def connect(
     """
     message_format = MessageFormat(robot)
     client = make_client(broker, name)
-    if vehicles and message_format.is_for_the_group:
-        [(topic, payload)] = message_format.messages(dict.fromkeys(vehicles, robot.command_at_rest)).items()
-        client.will_set(topic, payload, qos=0, retain=False)
-    link = MqttLink(client, message_format, broker, longest_silence_s)
+    wills = message_format.messages(dict.fromkeys(vehicles, robot.command_at_rest))
+    keepers = [make_client(broker, name) for _ in range(len(wills) - 1)]
+    for one, (topic, payload) in zip((client, *keepers), wills.items(), strict=False):
+        one.will_set(topic, payload, qos=0, retain=False)
+    link = MqttLink(client, message_format, broker, longest_silence_s, keepers)
     link._open()
     return link
 
@@ -233,7 +251,7 @@ def _why_unreachable(broker: Broker, error: OSError) -> str:
     if isinstance(error, ssl.SSLCertVerificationError):
         return (
             f"the certificate of the broker {broker.address} is not trusted ({error.verify_message}): if the broker is "
-            "yours, name the certificate that signed it, or the broker's own: ca_file=FILE"
+            "yours, name the certificate that signed it, or the broker's own: broker.ca_file=FILE"
         )
     if isinstance(error, ssl.SSLError):
         return f"the broker {broker.address} does not speak TLS there ({error.reason}): correct the port, or mqtt://"
@@ -244,5 +262,5 @@ def _why_unreachable(broker: Broker, error: OSError) -> str:
 def _why_refused(broker: Broker, reason: str) -> str:
     if reason in ("Bad user name or password", "Not authorized"):
         who = f"user {broker.user!r} with this password" if broker.user else "a client without a user"
-        return f"it does not let in {who}: correct broker=mqtt://USER@..., password_file=FILE"
+        return f"it does not let in {who}: correct broker=mqtt://USER@..., broker.password_file=FILE"
     return f"it refuses the connection: {reason}"

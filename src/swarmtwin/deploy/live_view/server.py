@@ -148,6 +148,7 @@ def main() -> None:
     except OSError as error:
         say_mistake(UserError(f"the page cannot be served at {scene.host}:{scene.port}: {error.strerror}"))
         return
+    listening.listen(64)  # from now on those who come wait instead of being turned away
     application_ = application(View(scene, Path(told["folder"])))
     say_ready(address=f"http://{scene.host}:{listening.getsockname()[1]}/")
     server = uvicorn.Server(uvicorn.Config(application_, log_level="error", timeout_graceful_shutdown=1))
