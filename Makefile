@@ -53,8 +53,8 @@ PARTS := $(call of_robots,policies) $(call of_robots,study) $(call of_robots,dyn
 parts: $(PARTS)
 $(call of_robots,transitions): code
 $(call of_robots,simulation): simulation@%: transitions@%
-$(call of_robots,study): study@%: transitions@%
 $(call of_robots,policies): policies@%: simulation@%
+$(call of_robots,study): study@%: simulation@%  # which it does not read: policies take longest, and are begun before
 $(call of_robots,dynamics): dynamics@%: simulation@%
 diagnosis@mgr: code
 $(call of_robots,pictures): pictures@%: policies@% dynamics@% study@%

@@ -124,7 +124,7 @@ class Scene:
         vehicles = tuple(str(1 + index) for index in range(5))
         settings = FleetSettings(seed=seed, firmware_timeout_s=firmware_timeout_s)
         self.fleet = Fleet(self.robot, vehicles, self.broker.broker, 0, settings)
-        self.message_format = MessageFormat(self.robot, vehicles)
+        self.message_format = MessageFormat(self.robot)
         self.firmware = "time-out" if firmware_timeout_s else "published"
         self.controller = 0
         self.own: list[bytes] = []
@@ -522,18 +522,19 @@ def main() -> None:
             raise SystemExit("mosquitto is needed: apt install mosquitto")
         options.state.parent.mkdir(parents=True, exist_ok=True)
         os.environ["OMP_NUM_THREADS"] = "1"
-        with tempfile.TemporaryDirectory() as place:
-            campaign = Campaign(Path(place), options.seed)
-            try:
-                with options.state.open("a") as state:
-                    while sum(len(case.survived) + bool(case.fault) for case in cases) < options.count:
-                        case = campaign.run_case(len(cases))
-                        cases.append(case)
-                        state.write(json.dumps(case._asdict()) + "\n")
-                        state.flush()
-                        print(f"{case.number:5d} {case.fault:26s} {case.status:4d} {case.outcome[:120]}", flush=True)
-            finally:
-                campaign.close()
+        place = Path(tempfile.mkdtemp())  # not a TemporaryDirectory: each forked process would remove it at its end
+        campaign = Campaign(place, options.seed)
+        try:
+            with options.state.open("a") as state:
+                while sum(len(case.survived) + bool(case.fault) for case in cases) < options.count:
+                    case = campaign.run_case(len(cases))
+                    cases.append(case)
+                    state.write(json.dumps(case._asdict()) + "\n")
+                    state.flush()
+                    print(f"{case.number:5d} {case.fault:26s} {case.status:4d} {case.outcome[:120]}", flush=True)
+        finally:
+            campaign.close()
+            shutil.rmtree(place, ignore_errors=True)
     if cases:
         print_table(cases)
     sys.exit(1 if any(case.outcome != "held" for case in cases) else 0)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from exact_model import simulation_with
 from playground import exact_simulation
 
+from exact_model import simulation_with
 from swarmtwin.deploy.control.effect_time import EffectTimePredictor
 from swarmtwin.geometry import compose, exp_map
 from tiny_policies import robot_named

@@ -53,7 +53,7 @@ def test_no_room_is_told_before_anything_moves(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(UserError, match="no room for the recording, 0.1 MiB in .*: No space left"):
+    with pytest.raises(UserError, match=r"no room for the recording, 0\.1 MiB in .*: No space left"):
         Journal(tmp_path / JOURNAL, 2**17)
     assert not (tmp_path / JOURNAL).exists()
 
@@ -74,11 +74,15 @@ def test_what_was_reserved_is_written_however_full_the_disk_becomes(tmp_path):
             journal.write("line", number=number, text="x" * 200)
         assert sum(1 for _ in read_journal(journal.path)) == 1000
         with pytest.raises(JournalError, match="cannot be written"):
-            for _ in range(1000):
-                journal.write("line", text="x" * 200)
+            write_on(journal)
         journal.close()
     finally:
         subprocess.run(["umount", disk], check=True)
+
+
+def write_on(journal):
+    for _ in range(1000):
+        journal.write("line", text="x" * 200)
 
 
 WRITER = """
@@ -94,7 +98,8 @@ start = time.monotonic()
 for tick in range(10_000):
     now = start + 0.5 * tick
     for late in (0.0, 0.01):
-        journal.sighting(Sighting(tick, now + late, {"1": np.array([300.0 + tick, 400 + 5 * np.sin(tick), 0.1 * np.sin(tick)])}))
+        pose = np.array([300.0 + tick, 400 + 5 * np.sin(tick), 0.1 * np.sin(tick)])
+        journal.sighting(Sighting(tick, now + late, {"1": pose}))
     journal.write("sending", tick=tick, now_s=now + 0.004, sent={"1": [50.0, 60.0]})
     journal.write("period", tick=tick, due_s=now, sent_s=now + 0.005, vehicles=["1"], captured_s=[now],
                   pose=[[300.0 + tick, 400.0, 0.0]], predicted=[[0, 0, 0]], requested=[[70.0, 60.0]],

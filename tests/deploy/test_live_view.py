@@ -70,7 +70,7 @@ def test_a_picture_is_brought_into_the_arenas_frame_whatever_way_the_camera_hang
         to_px = cv2.getPerspectiveTransform(arena, np.float32(corners))
         [[spot]] = cv2.perspectiveTransform(np.float32([[[300, 800]]]), to_px)
         image = np.zeros((660, 660), np.uint8)
-        cv2.circle(image, tuple(int(round(value)) for value in spot), 8, 255, -1)
+        cv2.circle(image, tuple(round(float(value)) for value in spot), 8, 255, -1)
         overlay = Overlay(scene(corners_px=corners))
         drawn = overlay.draw(image, {}, 0.0, {})
         y, x = (30 + np.mean(places) for places in np.nonzero(drawn[30:-30, 30:-30].min(axis=2) > 200))
@@ -81,7 +81,13 @@ def test_it_shows_poses_ages_and_alarms(view):
     now_s = time.monotonic()
     image = np.full((660, 660), 90, np.uint8)
     view.show_picture(image, Sighting(1, now_s, {"1": np.array([300.0, 400.0, 0.5])}))
-    vehicle = {"pose": [500, 500, 0], "captured_s": now_s, "sent": [50.0, 60.0], "reason": "withheld: fence", "scale": 0}
+    vehicle = {
+        "pose": [500, 500, 0],
+        "captured_s": now_s,
+        "sent": [50.0, 60.0],
+        "reason": "withheld: fence",
+        "scale": 0,
+    }
     view.publish({"tick": 3, "vehicles": {"2": {**vehicle, "alarm": True}}, "target_mm": [500, 500], "reach_mm": 250})
     page = answer(view, "").decode()
     assert "Micro-Ground Robot: collective" in page

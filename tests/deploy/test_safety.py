@@ -1,13 +1,13 @@
-"""The safety filter: what it lets through is safe in the simulation, what it holds back was not, and it locks no one."""
+"""The safety filter: what it lets through is safe in the simulation, what it holds back was not; it locks no one."""
 
 import time
 
 import numpy as np
 import pytest
 import torch
-from exact_model import simulation_with
 from playground import NOISE, exact_simulation
 
+from exact_model import simulation_with
 from swarmtwin.deploy.control.look_ahead import LookAhead
 from swarmtwin.deploy.control.safety import SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings

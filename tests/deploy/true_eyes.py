@@ -22,7 +22,9 @@ class TrueTracker:
 
     def track(self, frame):
         time.sleep(self._takes_s)
-        pose = self.memory.poses(frame.captured_s) + self._rng.normal(0, [0.1, 0.1, 0.002], (len(self.memory.vehicles), 3))
+        pose = self.memory.poses(frame.captured_s) + self._rng.normal(
+            0, [0.1, 0.1, 0.002], (len(self.memory.vehicles), 3)
+        )
         pose[:, 2] = wrap_angle(pose[:, 2])
         seen = {one: pose[index] for index, one in enumerate(self.memory.vehicles) if one not in self.hidden}
         return Sighting(frame.number, frame.captured_s, seen)

@@ -175,6 +175,12 @@ def _video(named: str, robot: Robot) -> None:
         raise UserError(f"there is nothing at video={named}: name a video file or a folder of pictures")
 
 
+def _killed(named: str, robot: Robot) -> None:
+    output = Path(named).absolute()
+    if not output.with_name(f".{output.name}.partial").is_dir():
+        raise UserError(f"there is nothing to recover for {named}: no deployment to it was killed")
+
+
 def _calibration(named: str, robot: Robot) -> None:
     if not Path(named).exists():
         raise UserError(f"no calibration {named}: make one with `swarmtwin calibrate`")
@@ -202,5 +208,7 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "broker.password_file": _password_file,
     "broker.ca_file": _certificate,
     "video": _video,
+    "recover": _killed,
+    "policy": _policy,
     "calibration": _calibration,
 }

@@ -112,7 +112,7 @@ class GeneratorTraining(lightning.LightningModule, ABC):
         if learning_rate is not None:
             chosen.param_groups[0]["lr"] = learning_rate
         chosen.zero_grad()
-        self.manual_backward(loss)
+        loss.backward()  # Lightning's own has hooks, which nobody uses, for as long again
         chosen.step()
 
 

@@ -3,7 +3,9 @@
 import threading
 import time
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
+
+import numpy as np
 
 from swarmtwin.deploy.camera.camera import CameraLostError
 
@@ -37,8 +39,15 @@ class NewestPicture(Generic[Content]):
         self._changed = threading.Condition()
 
     def put(self, content: Content, captured_s: float) -> None:
-        """Replace the picture by a newer one; what was wrong is over."""
+        """Replace the picture by a newer one; what was wrong is over.
+
+        The very same picture once more is none: no two exposures have the same noise, so the camera is frozen, whatever
+        its stamps say.
+        """
         with self._changed:
+            if self._newest is not None and _are_identical(content, self._newest.content):
+                self._trouble = "it gives the same picture again and again: it is frozen"
+                return
             number = 0 if self._newest is None else self._newest.number + 1
             self._newest = Arrival(number, captured_s, content)
             self._silent_since_s, self._trouble = time.monotonic(), None
@@ -73,3 +82,7 @@ class NewestPicture(Generic[Content]):
 
     def _is_newer(self, after: int) -> bool:
         return self._newest is not None and self._newest.number > after
+
+
+def _are_identical(one: Any, other: Any) -> bool:
+    return np.array_equal(one, other) if isinstance(one, np.ndarray) else bool(one == other)

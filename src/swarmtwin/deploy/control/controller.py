@@ -134,41 +134,53 @@ class Controller:
             due_s = ticker.due_s
             if not ticker.wait(self._beat, self.timing.beat_s):
                 return
-            seen = self.observer.newest()
-            if not self._beat():
+            with self.observer.quiet():
+                period = self._period(driver, tick, due_s, sent, tick == periods)
+            if period is None:
                 return
-            pose = np.array([seen[vehicle].pose for vehicle in self.vehicles])
-            captured_s = np.array([seen[vehicle].captured_s for vehicle in self.vehicles])
-            effect_s = time.monotonic() + self._sending_takes_s + self._latency_s()
-            state = self.predictor.predict(pose, captured_s, effect_s)
-            predicted = self.predictor.measured(state)
-            if sent is not None and (done := driver.moved(sent.command, predicted)):
-                self._end("done", done)
-                return
-            if tick == periods:
-                self._end("done", f"{periods} periods are over")
-                return
-            asked_s = time.monotonic()
-            requested = self._decide(driver, predicted)
-            if requested is None:
-                return
-            decided_s = time.monotonic()
-            sent = self.safety(state, requested)
-            safe_s = time.monotonic()
-            if not self._beat():
-                return
-            sent_s = self._send(tick, due_s, sent, requested, (pose, captured_s, predicted))
-            self._sending_takes_s += 0.2 * (sent_s - asked_s + 0.002 - self._sending_takes_s)
-            self.predictor.command_sent(state, sent.command, sent_s + self._latency_s())
-            self.conditions.note_sent(sent_s, sent.command)
-            self._outcome.periods = tick + 1
-            self._outcome.camera_to_command_s.append(sent_s - float(captured_s.min()))
-            self._outcome.decision_s.append(decided_s - asked_s)
-            self._outcome.filter_s.append(safe_s - decided_s)
+            seen, sent = period
             if not self._watch(tick, seen):
                 return
             self._show(tick, seen, sent, driver)
             self._follow_camera(ticker, due_s)
+
+    def _period(
+        self, driver: Driver, tick: int, due_s: float, before: Decision | None, is_last: bool
+    ) -> tuple[dict[str, SeenPose], Decision] | None:
+        """See, predict, decide, make safe, send and note; return what was seen and sent, None where it is the end."""
+        seen = self.observer.newest()
+        if not self._beat():
+            return None
+        pose = np.array([seen[vehicle].pose for vehicle in self.vehicles])
+        captured_s = np.array([seen[vehicle].captured_s for vehicle in self.vehicles])
+        effect_s = time.monotonic() + self._sending_takes_s + self._latency_s()
+        state = self.predictor.predict(pose, captured_s, effect_s)
+        predicted = self.predictor.measured(state)
+        if before is not None and (done := driver.moved(before.command, predicted)):
+            self._end("done", done)
+            return None
+        if is_last:
+            self._end("done", f"{tick} periods are over")
+            return None
+        asked_s = time.monotonic()
+        requested = self._decide(driver, predicted)
+        if requested is None:
+            return None
+        decided_s = time.monotonic()
+        decision = self.safety(state, requested)
+        safe_s = time.monotonic()
+        if not self._beat():
+            return None
+        sent_s = self._send(tick, due_s, decision, requested, (pose, captured_s, predicted))
+        self._sending_takes_s += 0.2 * (sent_s - asked_s + 0.002 - self._sending_takes_s)
+        self.predictor.command_sent(state, decision.command, sent_s + self._latency_s())
+        self.conditions.note_sent(sent_s, decision.command)
+        outcome = self._outcome
+        outcome.periods = tick + 1
+        outcome.camera_to_command_s.append(sent_s - float(captured_s.min()))
+        outcome.decision_s.append(decided_s - asked_s)
+        outcome.filter_s.append(safe_s - decided_s)
+        return seen, decision
 
     def _decide(self, driver: Driver, predicted: np.ndarray) -> np.ndarray | None:
         started_s = time.monotonic()

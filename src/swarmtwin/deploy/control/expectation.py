@@ -162,7 +162,8 @@ class Expectation:
         path2 = (twist[:, :2] ** 2).sum(axis=1)
         least = np.array([settings.least_spread_mm, settings.least_spread_mm, settings.least_spread_rad])
         length2 = np.stack([path2, path2, twist[:, 2] ** 2], axis=1)
-        variance = least**2 + settings.motion_spread**2 * length2
+        late = np.nan_to_num(self._twist_before - twist) * settings.timing_spread_s / self._robot.period_s
+        variance = least**2 + settings.motion_spread**2 * length2 + late**2
         if noise is not None:
             periods = (duration_s / self._robot.period_s)[:, None]
             size2 = (path2 / noise.usual_mm**2 + twist[:, 2] ** 2 / noise.usual_rad**2)[:, None]

@@ -1,9 +1,10 @@
 """A thread that takes pictures and finds the vehicles on them, so that the newest poses are always at hand."""
 
+import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -78,6 +79,8 @@ class Observer:
         self._doubts: Mapping[str, str] = {}
         self._changed = threading.Condition()
         self._ends = threading.Event()
+        self._may_look = threading.Event()
+        self._may_look.set()
         self._thread = threading.Thread(target=self._run, name="observer", daemon=True)
 
     def start(self) -> None:
@@ -90,6 +93,18 @@ class Observer:
         if self._thread.ident is not None:
             self._thread.join(2 * self._picture_timeout_s)
         self.camera.close()
+
+    @contextlib.contextmanager
+    def quiet(self) -> Iterator[None]:
+        """Begin with no further picture for now: two threads that compute at once take several times as long.
+
+        A picture that comes meanwhile is looked at afterwards, unless there is a newer one by then.
+        """
+        self._may_look.clear()
+        try:
+            yield
+        finally:
+            self._may_look.set()
 
     def newest(self) -> dict[str, SeenPose]:
         """Return the newest pose of each vehicle that was ever seen."""
@@ -125,6 +140,7 @@ class Observer:
                     self._fail("its pictures have come to an end")
                     return
                 number = frame.number
+                self._may_look.wait(self._picture_timeout_s)
                 self._take_in(self._tracker.track(frame), frame)
         except Exception as error:  # whatever it is, the controller must know, and stop
             self._fail(" ".join(str(error).split()) or type(error).__name__)

@@ -38,7 +38,7 @@ class SafetySettings(StrictModel):
         link_lost_s: or when the link has been down for so long.
         standing_moves_mm: or when a vehicle that has been told to stand for two periods moves further than this in one.
         heartbeat_s: the supervisor stops all when the controller has shown no sign of life for so long; null: half a
-            period. The controller stops all when the supervisor has shown none for twice that.
+            period. The controller stops all when the supervisor has shown none for half as long again.
         zeros_every_s: a stop is repeated that often until the vehicles are seen to stand.
         standstill_s: they stand when they have not moved for so long
         standstill_mm: by more than this.
@@ -102,6 +102,7 @@ class WatchSettings(StrictModel):
         unit_alarm_periods: the chance to take a unit for strange that is none is that of a false alarm in so many
             periods, once for all.
         motion_spread: random part of the motion, as a share of it, beyond what the simulation states.
+        timing_spread_s: how well it is known when a command takes effect (standard deviation).
         least_spread_mm: the residual's standard deviation is at least this, by camera and interpolation.
         least_spread_rad: likewise for turns.
         simulation_error: by how much the simulation itself errs, as long as vehicles go on alike (standard deviation):
@@ -119,6 +120,7 @@ class WatchSettings(StrictModel):
     usual_unit_spread: Positive = 0.05
     unit_alarm_periods: Positive = 50.0
     motion_spread: NotNegative = 0.05
+    timing_spread_s: NotNegative = 0.03
     least_spread_mm: Positive = 0.7
     least_spread_rad: Positive = 0.01
     simulation_error: NotNegative = 1.0

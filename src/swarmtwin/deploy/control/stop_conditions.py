@@ -89,7 +89,7 @@ class StopConditions:
         if not is_alive:
             return "the supervisor died"
         silence_s = now_s - heartbeat.read("supervisor_beat_s")
-        if silence_s > 2 * self._settings.heartbeat_limit_s(self._robot):
+        if silence_s > 1.5 * self._settings.heartbeat_limit_s(self._robot):
             return f"the supervisor has been silent for {silence_s:.2f} s"
         return None
 

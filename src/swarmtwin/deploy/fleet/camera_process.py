@@ -55,7 +55,15 @@ class CameraProcess:
         effects = [parse_effects(entries, robot, len(self._vehicles)) for entries in told["effects"]]
         conditions = CameraConditions.parse(told["camera"], "camera")
         self._shutter = Shutter(
-            robot, self._vehicles, effects, conditions, self._memory, told["seed"], told["fps"], self._arrive_later
+            robot,
+            self._vehicles,
+            effects,
+            conditions,
+            self._memory,
+            told["seed"],
+            told["fps"],
+            self._arrive_later,
+            told["rays_per_side"],
         )
         self._newest: tuple[int, Picture] | None = None
         self._arrived = asyncio.Event()

@@ -31,6 +31,8 @@ class FleetSettings(StrictModel):
         effects_of: and what single vehicles are told besides, by vehicle.
         seed: of all chance, but not of the units' fabrication.
         fps: pictures in a second.
+        rays_per_side: of the square of rays that a pixel averages over; 4 costs twice as much as 2, and five vehicles
+            are tracked no better (0.30 and 0.28 mm at the 99th percentile).
         firmware_timeout_s: vehicles stop by themselves when no command has come for so long; None: as the robot's file
             says, where that says nothing they drive on.
         session_s: length of a session, for effects by which vehicles age; it begins when the fleet does.
@@ -44,6 +46,7 @@ class FleetSettings(StrictModel):
     effects_of: Mapping[str, tuple[dict[str, Any], ...]] = Field(default_factory=dict)
     seed: Seed = 1
     fps: Annotated[float, Field(gt=0, le=200)] = 30.0
+    rays_per_side: Annotated[int, Field(ge=1, le=8)] = 2
     firmware_timeout_s: Positive | None = None
     session_s: Positive = 600.0
     start_share: Annotated[float, Field(gt=0, le=1)] = 0.8
@@ -131,6 +134,7 @@ class Fleet:
             "effects": [self._effects(vehicle) for vehicle in self.vehicles],
             "camera": dict(self.settings.camera),
             "fps": self.settings.fps,
+            "rays_per_side": self.settings.rays_per_side,
             "host": self.settings.camera_host,
             "port": self._camera_port,
         }

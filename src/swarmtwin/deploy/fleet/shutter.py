@@ -52,6 +52,7 @@ class Shutter:
         seed: int,
         fps: float,
         publish: Callable[[Picture, float], None],
+        rays_per_side: int,
         quality: int = 92,
     ) -> None:
         """Hang the camera up.
@@ -65,12 +66,13 @@ class Shutter:
             seed: of the pictures' noise and of the chance of faults.
             fps: pictures in a second.
             publish: is handed each picture, and how much later it is to arrive, in s.
+            rays_per_side: see `OverheadCamera`.
             quality: of the compression.
 
         Raises:
             UserError: a vehicle's marker cannot be rendered.
         """
-        self._camera = OverheadCamera(robot, vehicles, conditions)
+        self._camera = OverheadCamera(robot, vehicles, conditions, rays_per_side=rays_per_side)
         self.size = self._camera.size
         self.fps, self.quality = fps, quality
         self.is_watched = threading.Event()

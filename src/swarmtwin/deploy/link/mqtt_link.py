@@ -55,6 +55,7 @@ class MqttLink:
         self._echoes = Echoes()
         self._announced: dict[str, float] = {}
         self._ready = threading.Event()
+        self._answered = threading.Event()  # at the first connection: yes or no
         self._refusal: str | None = None
         self._lost_because = "it was never connected"
         self._closed = False
@@ -138,8 +139,8 @@ class MqttLink:
                 self.close()
                 raise UserError(_why_unreachable(broker, error)) from None
             client.loop_start()
-        answered = self._ready.wait(5.0)
-        if self._refusal or not answered:
+        self._answered.wait(5.0)
+        if not self._ready.is_set():
             self.close()
             reason = self._refusal or f"it does not answer as a broker does ({self._lost_because})"
             raise UserError(f"broker {broker.address}: {reason}")
@@ -160,7 +161,9 @@ class MqttLink:
             if code.is_failure:
                 self._refuse(f"{self.broker.user or 'this client'} may not read {topic}: allow it in its access list")
                 return
+        self._refusal = None
         self._ready.set()
+        self._answered.set()
 
     def _on_disconnect(
         self, _: Client, __: Any, ___: DisconnectFlags, code: ReasonCode, ____: Properties | None
@@ -168,7 +171,8 @@ class MqttLink:
         was_connected = self._ready.is_set()
         self._ready.clear()
         self._echoes.forget()
-        self._lost_because = str(code)
+        self._lost_because = self._refusal or str(code)
+        self._answered.set()
         if was_connected and not self._closed:
             logger.warning("connection to the broker %s lost (%s); trying again", self.broker.address, code)
 
@@ -192,10 +196,11 @@ class MqttLink:
             self._announced = {**self._announced, vehicle: time.monotonic()}
 
     def _refuse(self, reason: str) -> None:
-        self._refusal = self._lost_because = reason
-        if self._ready.is_set() or not self._closed:
+        if self._answered.is_set() and reason != self._refusal:
             logger.warning("broker %s: %s", self.broker.address, reason)
+        self._refusal = self._lost_because = reason
         self._ready.clear()
+        self._answered.set()
 
 
 def connect(
