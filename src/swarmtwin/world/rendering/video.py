@@ -41,7 +41,9 @@ def pictures(
         yield picture
 
 
-def write_video(path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24) -> None:
+def write_video(
+    path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24, constant_rate_factor: int = 20
+) -> None:
     """Write pictures (height, width, 3) uint8 of one even size as a video, whole or not at all.
 
     The same pictures give the same bytes: one thread, and colours converted by OpenCV, since FFmpeg's conversion leaves
@@ -55,7 +57,9 @@ def write_video(path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24
     if first is None or any(size % 2 for size in first.shape[:2]):
         raise ValueError("a video needs pictures of an even width and height")
     with whole_file(path) as aside, av.open(str(aside), "w", format="mp4", options={"movflags": "+faststart"}) as file:
-        stream = file.add_stream("libx264", rate=frames_per_s, options={"crf": "20", "preset": "veryfast"})
+        stream = file.add_stream(
+            "libx264", rate=frames_per_s, options={"crf": str(constant_rate_factor), "preset": "veryfast"}
+        )
         stream.codec_context.thread_count = 1
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
