@@ -1,7 +1,6 @@
 """`swarmtwin track`: a video and the commands that were sent become a recording."""
 
 import logging
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +15,7 @@ from swarmtwin.deploy.tracking.calibration import Calibration
 from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
 from swarmtwin.deploy.tracking.calibration_pictures import take_pictures
 from swarmtwin.deploy.tracking.tracked_pictures import TrackedPictures, track_all
-from swarmtwin.deploy.tracking.tracker import Tracker
+from swarmtwin.deploy.tracking.tracker import Tracker, TrackerSettings
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
 from swarmtwin.recordings.reading import read_recording
@@ -68,7 +67,6 @@ def run(options: Options) -> dict[str, Any]:
             arena_mm=calibration.arena_mm,
             source=f"{options.video}, tracked",
             vehicles=tuple(sent),
-            started_at=datetime.now(UTC).isoformat(timespec="seconds"),
         )
         write_recording(folder, robot, header, cut_into_runs(rows, options.run_s), options.format)
         _pose_table(poses).to_parquet(folder / "poses.parquet", index=False)
@@ -103,7 +101,7 @@ def _track(video: str, calibration: Calibration, robot: Robot, vehicles: tuple[s
         camera.close()
         raise UserError(f"video={video} is live: give a video file or a folder of pictures, which end")
     camera.close()
-    tracker = Tracker(calibration, robot, vehicles)
+    tracker = Tracker(calibration, robot, vehicles, TrackerSettings(whole_every=1))
     first = open_camera(video)
     try:
         frame = first.next_frame()

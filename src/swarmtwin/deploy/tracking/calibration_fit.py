@@ -21,7 +21,7 @@ class FitSettings:
     """What the fit takes for granted.
 
     Attributes:
-        corner_px: standard error of a corner, small unknown bends of paper and lens included.
+        corner_px: standard error of a corner; more than noise alone makes of it, as many err in the same way.
         spread_px: standard deviation of how much too far outside all corners seem to lie: blur and light make dark
             things larger or smaller.
         placed_mm: standard error, along x and y, of where a marker was laid on the floor.
@@ -37,11 +37,11 @@ class FitSettings:
         moved_px: a vehicle that has not moved so far has the same pose still.
     """
 
-    corner_px: float = 0.04
+    corner_px: float = 0.1
     spread_px: float = 0.2
     placed_mm: float = 0.3
     printed_share: float = 0.001
-    centre_share: float = 0.015
+    centre_share: float = 0.01
     k1: float = 0.15
     log_focal: float = 0.6
     usual_focal: float = 1.1

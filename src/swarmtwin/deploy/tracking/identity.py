@@ -53,11 +53,6 @@ class Identities:
         self._robot, self._settings = robot, settings or IdentitySettings()
         self._known: dict[str, _Known] = {}
 
-    def last_pose(self, vehicle: str) -> np.ndarray | None:
-        """Return where a vehicle was last believed to be, (3,); None: nowhere yet."""
-        known = self._known.get(vehicle)
-        return None if known is None else known.pose
-
     def doubts(self, poses: Mapping[str, np.ndarray], at_s: float) -> dict[str, str]:
         """Take in the poses (3,) on one picture, and return which are not believed, and why."""
         strange = self._exchanged(poses)
@@ -80,10 +75,7 @@ class Identities:
 
     def _believe(self, vehicle: str, pose: np.ndarray, at_s: float, is_strange: bool) -> bool:
         known = self._known.get(vehicle)
-        if known is None or not (is_strange or known.elsewhere is not None):
-            self._known[vehicle] = _Known(pose, at_s)
-            return True
-        if not is_strange:  # back where it was
+        if known is None or not is_strange:
             self._known[vehicle] = _Known(pose, at_s)
             return True
         agrees = known.elsewhere is not None and self._reachable(known.elsewhere, pose, at_s - known.elsewhere_s)
