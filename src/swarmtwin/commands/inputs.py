@@ -209,6 +209,6 @@ INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "broker.ca_file": _certificate,
     "video": _video,
     "recover": _killed,
-    "policy": _policy,
+    "first_policy": _policy,
     "calibration": _calibration,
 }

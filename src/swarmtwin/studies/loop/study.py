@@ -32,7 +32,7 @@ class Options(StrictModel):
     robot: Robot
     effects: str
     vehicles: Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]
-    policy: Path
+    first_policy: Path
     simulation: Path
     reference: Path
     deployments: Count
@@ -56,8 +56,8 @@ def run(options: Options) -> dict[str, Any]:
     output.mkdir(parents=True, exist_ok=True)
     extended, learned = output / "diagnosis" / "simulation", output / "policy"
     stages = [
-        Stage(name="before", words="as learned", policy=str(options.policy), simulation=options.simulation),
-        Stage(name="told", words="as learned, extended simulation", policy=str(options.policy), simulation=extended),
+        Stage(name="before", words="as learned", policy=str(options.first_policy), simulation=options.simulation),
+        Stage(name="told", words="as learned, extended simulation", policy=str(options.first_policy), simulation=extended),
         Stage(name="after", words="learned anew, extended simulation", policy=str(learned), simulation=extended),
     ]
     with _fleet(options) as fleet:
