@@ -61,7 +61,8 @@ $(call of_robots,pictures): pictures@%: policies@% dynamics@% study@%
 
 robot = $(lastword $(subst @, ,$@))
 code: STAGES = code@*
-$(call of_robots,transitions): STAGES = transitions@$(robot) synthetic@$(robot)-*
+transitions@mgr: STAGES = tracked@mgr
+$(call of_robots,transitions): STAGES += transitions@$(robot) synthetic@$(robot)-*
 $(call of_robots,simulation): STAGES = synthetic_dynamics@$(robot)
 $(call of_robots,study): STAGES = real_and_synthetic@$(robot)
 policies@mgr: STAGES = policies@collective policies@obstacle transfer@mgr
@@ -108,6 +109,9 @@ data: setup  # what the paper had, and a later session of the ground robot that 
 	$(RECORD) robot=mgr vehicle=2 transitions=5874 steps=89 seed=2 output=data/mgr/other_vehicle
 	$(RECORD) robot=mgr vehicle=1 runs=20 steps=60 seed=3 output=data/mgr/open_loop
 	$(RECORD) robot=mgr vehicle=1 runs=150 steps=40 seed=4 'effects=[{name: battery_sag, loss: 0.3}]' output=data/mgr/later_session
+	$(RECORD) robot=mgr 'vehicle=[1,2,3]' runs=1 steps=60 film=10 seed=8 output=data/mgr/clip
+	$(BIN)/swarmtwin calibrate robot=mgr camera=data/mgr/clip/video.mp4 camera_height_mm=2000 output=data/mgr/clip/calibration.yaml
+	rm data/mgr/clip/calibration.png
 	$(RECORD) robot=mur vehicle=1 transitions=15000 steps=75 seed=5 output=data/mur/reference
 	$(RECORD) robot=mur vehicle=2 transitions=1372 steps=49 seed=6 output=data/mur/other_vehicle
 	$(RECORD) robot=mur vehicle=1 runs=20 steps=60 seed=7 output=data/mur/open_loop

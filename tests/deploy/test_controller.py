@@ -47,11 +47,12 @@ def test_each_fault_stops_all_vehicles(tmp_path, reason):
             ground.vehicles.lost = False
             happened.append(time.monotonic())
 
-    with Playground(tmp_path, APART, pose_age_s=0.07, picture_age_s=0.07, link_lost_s=0.05) as ground:
+    with Playground(tmp_path, APART, pose_age_s=0.3, picture_age_s=0.2, link_lost_s=0.05) as ground:
         outcome = ground.drive(Told(20 * np.ones((3, 2))), periods=40, then=fault)
         stands = abs(ground.vehicles.poses() - ground.vehicles.poses()).max() < 1e-9
     assert outcome.ending == ("interrupted" if "SIGINT" in reason else "stopped")
     assert any(part in outcome.reason for part in reason.split("|"))
     assert stands
     assert outcome.is_standing == (reason not in ("not been seen", "unplugged|no picture"))
-    assert ground.first_zeros_after(happened[-1]) < ground.robot.period_s + 0.03
+    allowed_s = {"not been seen": 0.3, "unplugged|no picture": 0.2}.get(reason, 0.0)
+    assert ground.first_zeros_after(happened[-1]) < allowed_s + ground.robot.period_s + 0.03

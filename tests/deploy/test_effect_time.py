@@ -7,6 +7,7 @@ from playground import exact_simulation
 
 from exact_model import simulation_with
 from swarmtwin.deploy.control.effect_time import EffectTimePredictor
+from swarmtwin.deploy.control.motion_delay import MotionDelay
 from swarmtwin.geometry import compose, exp_map
 from tiny_policies import robot_named
 
@@ -61,3 +62,43 @@ def test_markers_and_actuators_of_an_extended_simulation_are_carried_along():
     state = predictor.predict(START, np.array([10.0, 10.0]), 10.5)
     predictor.command_sent(state, np.full((2, 2), 100.0), 10.5)
     assert 1.2 * first < predictor.held[-1].twist[0, 0] < 35.0  # still speeding up
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.06, 0.12])
+def test_a_delay_of_the_vehicles_is_found_in_their_motion(late_s):
+    """Vehicles obey later than supposed; the poses are noisy; the estimate comes near in 40 periods."""
+    simulation = exact_simulation(robot_named("mgr"))
+    robot, rng = simulation.robot, np.random.default_rng(2)
+    predictor, delay = EffectTimePredictor(simulation, 2), MotionDelay(robot.period_s, robot.displacement_limit)
+    true, before = START, None
+    old = np.zeros((2, 3))
+    for period in range(40):
+        now_s = 10 + period * robot.period_s
+        seen = true + rng.normal(0, [0.3, 0.3, 0.003], (2, 3))
+        if before is not None:
+            delay.update(predictor, before, (seen, np.full(2, now_s)))
+        before = (seen, np.full(2, now_s))
+        command = rng.uniform(-120, 120, (2, 2))
+        state = predictor.predict(seen, np.full(2, now_s), now_s)
+        predictor.command_sent(state, command, now_s + delay.delay_s)
+        new = simulation.dynamics.twist(torch.as_tensor(command)).numpy()
+        share = late_s / robot.period_s
+        true = compose(compose(true, exp_map(old * share)), exp_map(new * (1 - share)))
+        old = new
+    assert delay.delay_s == pytest.approx(late_s, abs=0.015)
+
+
+def test_nothing_is_learned_of_a_delay_where_commands_do_not_change():
+    simulation = exact_simulation(robot_named("mgr"))
+    robot, rng = simulation.robot, np.random.default_rng(2)
+    predictor, delay = EffectTimePredictor(simulation, 2), MotionDelay(robot.period_s, robot.displacement_limit)
+    command = np.full((2, 2), 60.0)
+    twist = simulation.dynamics.twist(torch.as_tensor(command)).numpy()
+    true = START
+    predictor.command_sent(predictor.predict(true, np.full(2, 1.0), 1.0), command, 1.0)
+    for period in range(4, 40):
+        at_s = np.full(2, period * robot.period_s)
+        after = compose(true, exp_map(twist)) + rng.normal(0, [0.3, 0.3, 0.003], (2, 3))
+        delay.update(predictor, (true, at_s), (after, at_s + robot.period_s))
+        true = after
+    assert delay.delay_s < 0.01

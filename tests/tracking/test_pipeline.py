@@ -66,6 +66,7 @@ def test_every_recorded_robot_is_in_the_pipeline():
     assert set(AFFORDED["robots"]) == set(recorded)
     later = {name for name, folder in recorded.items() if (folder / "later_session").is_dir()}
     assert set(AFFORDED["diagnosed_robots"]) == later
+    assert set(AFFORDED["filmed_robots"]) == {name for name, folder in recorded.items() if (folder / "clip").is_dir()}
 
 
 def test_the_file_holds_the_digest_of_its_stages():
@@ -157,6 +158,7 @@ def test_a_stage_hangs_on_the_choices_of_its_command(stage):
     _, choices = composed(stage.name)
     shaping = {
         "prepare": ("robot", "split"),
+        "track": ("robot",),
         "generate": ("generator",),
         "train": ("model", "recipe"),
         "learn": ("task", "policy"),
@@ -178,6 +180,8 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
     read = [config[name] for name in names if config.get(name)]
     if stage.arguments[0] in ("train", "generate") and not config.transitions:
         read = [f"artifacts/transitions/{config.robot.name}"]
+    if stage.arguments[0] == "track":
+        read = [config.video, config.commands, config.calibration]
     assert read
     for folder in read:
         assert any(Path(folder).is_relative_to(dependency) for dependency in stage.deps), folder

@@ -1,9 +1,13 @@
+from pathlib import Path
+
 import av
 import cv2
 import numpy as np
 import pytest
 from tiny_worlds import Scripted, one_world, task_named, world_of
 
+from swarmtwin.robot import Robot
+from swarmtwin.standin.overhead_camera import OverheadCamera
 from swarmtwin.world.rendering.canvas import COLOURS, Panel, rgb
 from swarmtwin.world.rendering.drawing import draw, side_by_side
 from swarmtwin.world.rendering.frame import Status, frame_of
@@ -11,6 +15,8 @@ from swarmtwin.world.rendering.paths import paths_figure
 from swarmtwin.world.rendering.video import pictures, write_video
 from swarmtwin.world.rollout import roll_out
 from swarmtwin.world.world import World
+
+MGR = Robot.load(Path(__file__).resolve().parents[2] / "conf" / "robot" / "mgr.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +128,21 @@ def test_every_task_can_be_drawn(name):
     titles = [panel.get_title() for panel in figure.axes]
     assert len(titles) == 2
     assert titles[1].startswith("stand-in: ")
+
+
+def test_the_same_pictures_of_an_odd_width_give_the_same_bytes_whatever_lay_in_memory_before(tmp_path):
+    """670 is no multiple of 64. The pictures must be made anew each time, or memory holds the same each time, too."""
+    camera = OverheadCamera(MGR, ["1", "2"])
+
+    def drive():
+        rng = np.random.default_rng(3)
+        for k in range(12):
+            image = camera.render(np.array([[300 + 5 * k, 400, 0.1 * k], [700, 600 - 4 * k, 1]]), rng)
+            yield cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
+
+    films = set()
+    for number in range(5):
+        write_video(tmp_path / f"{number}.mp4", drive())
+        films.add((tmp_path / f"{number}.mp4").read_bytes())
+    assert camera.size[0] % 64
+    assert len(films) == 1

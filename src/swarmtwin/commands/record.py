@@ -9,6 +9,7 @@ from rich.table import Table
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import new_folder
+from swarmtwin.markers import vehicle_ids
 from swarmtwin.recordings.exact_means import write_exact_means
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.recordings.writing import FileFormat, write_recording
@@ -16,6 +17,7 @@ from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.standin.drive_commands import CommandMode
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.session import StandInSession, require_stand_in
+from swarmtwin.studies.stand_in_film import write_film
 from swarmtwin.studies.stand_in_recording import check_size, exact_means_of, read_drive, record
 from swarmtwin.transitions import Counts, from_recording
 from swarmtwin.transitions.inputs import as_texts
@@ -34,6 +36,7 @@ class Options(StrictModel):
     commands: CommandMode
     drive: Path | None
     lost_poses: Annotated[float, Field(ge=0, lt=1)]
+    film: Annotated[int, Field(ge=1, le=120)] | None
     format: FileFormat
     output: Path
     overwrite: bool
@@ -51,6 +54,8 @@ def run(options: Options) -> dict[str, Any]:
         footage, recording = record(session, options.transitions)
         write_recording(folder, options.robot, recording.header, recording.tracks, options.format)
         write_exact_means(folder, exact_means_of(footage, recording))
+        if options.film is not None:
+            write_film(folder, footage, options.film)
         _, counts = from_recording(recording)
     Console().print(_summary(options.output, recording, counts))
     return {"runs": len(recording.runs), "transitions": counts.kept, "output": str(options.output)}
@@ -72,6 +77,10 @@ def plan_session(options: Options) -> StandInSession:
     if options.transitions:
         runs = -(-options.transitions // options.steps)
     check_size(runs, options.steps, len(options.vehicle))
+    if options.film is not None:
+        vehicle_ids(options.robot, options.vehicle)
+        if runs > 1:
+            raise UserError("film=... shows one run: say runs=1 and as many steps as the film is to last")
     return StandInSession(
         robot=options.robot,
         vehicles=options.vehicle,

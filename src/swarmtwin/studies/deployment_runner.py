@@ -190,7 +190,7 @@ def counted(deployment: Deployment, outcomes: Sequence[Outcome]) -> dict[str, An
     """Return the figures of control over one or several drives, as plain data."""
     joined = {
         name: [1000 * value for one in outcomes for value in getattr(one, f"{name}_s")]
-        for name in ("lateness", "camera_to_command", "decision", "filter")
+        for name in ("lateness", "camera_to_command", "decision", "filter", "motion_delay")
     }
     times = {
         f"{name}_ms": dict(zip(("median", "p99"), median_and_p99(values), strict=True))

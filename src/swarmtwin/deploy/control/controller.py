@@ -15,6 +15,7 @@ from swarmtwin.deploy.control.expectation import Expectation
 from swarmtwin.deploy.control.heartbeat import Heartbeat, Phase
 from swarmtwin.deploy.control.interrupts import Interrupts
 from swarmtwin.deploy.control.journal import Journal, JournalError
+from swarmtwin.deploy.control.motion_delay import MotionDelay
 from swarmtwin.deploy.control.observer import Observer, SeenPose
 from swarmtwin.deploy.control.safety import Decision, SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
@@ -42,6 +43,7 @@ class Outcome:
         camera_to_command_s: from each period's oldest picture to the moment its command was sent.
         decision_s: that the policy took.
         filter_s: that the safety filter took.
+        motion_delay_s: from sending a command to its effect, as estimated in each period.
     """
 
     ending: Ending = "done"
@@ -53,6 +55,7 @@ class Outcome:
     camera_to_command_s: list[float] = field(default_factory=list)
     decision_s: list[float] = field(default_factory=list)
     filter_s: list[float] = field(default_factory=list)
+    motion_delay_s: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ class Controller:
         self.journal = journal
         self.watchmen = watchmen
         self.settings, self.timing = settings
+        self._delay = MotionDelay(self.robot.period_s, self.robot.displacement_limit)
         self._has_sent = False
         self._outcome = Outcome()
         self._sending_takes_s = 0.01
@@ -223,7 +227,7 @@ class Controller:
         if self.timing.link_latency_s is not None:
             return self.timing.link_latency_s
         measured_s = getattr(self.link, "round_trip_s", 0.0)
-        return measured_s if np.isfinite(measured_s) else 0.0
+        return (measured_s if np.isfinite(measured_s) else 0.0) + self._delay.delay_s
 
     def _send(
         self,
@@ -260,12 +264,16 @@ class Controller:
         """Compare what each vehicle did since the last period with what is expected; return whether to go on."""
         watch, before = self.watchmen.expectation, self._before
         self._before = dict(seen)
-        if watch is None or not before:
+        if not before:
             return True
         start, end = ([which[vehicle] for vehicle in self.vehicles] for which in (before, seen))
         start_s, end_s = (np.array([one.captured_s for one in which]) for which in (start, end))
-        true = self.predictor.true_poses
-        measured = displacement_between(true([one.pose for one in start]), true([one.pose for one in end]))
+        true = [self.predictor.true_poses([one.pose for one in which]) for which in (start, end)]
+        self._delay.update(self.predictor, (true[0], start_s), (true[1], end_s))
+        self._outcome.motion_delay_s.append(self._latency_s())
+        if watch is None:
+            return True
+        measured = displacement_between(*true)
         for vehicle in watch.update(self.predictor.motion_between(start_s, end_s), measured, end_s - start_s):
             words = watch.words(vehicle)
             self.journal.write("alarm", tick=tick, vehicle=self.vehicles[vehicle], words=words)

@@ -5,6 +5,7 @@ import gc
 import logging
 import os
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Mapping
@@ -145,6 +146,7 @@ class Deployment:
         self.deadlocks = 0
         self._folder = folder
         self._about = about
+        self._switch_interval_s = sys.getswitchinterval()
         self._shared = Path(tempfile.mkdtemp(prefix="swarmtwin-"))
         self.observer = Observer(camera, tracker, plan.vehicles, self._on_sighting)
 
@@ -157,6 +159,7 @@ class Deployment:
             self._priority = os.getpriority(os.PRIO_PROCESS, 0)
             with contextlib.suppress(PermissionError):  # where it is allowed, control comes before everything else
                 os.setpriority(os.PRIO_PROCESS, 0, min(self._priority, -10))
+            sys.setswitchinterval(0.0005)  # a thread that has to decide must not wait 5 ms for one that looks
             self.observer.start()
             gc.collect()
             gc.freeze()  # a collection of all that was imported would take longer than a period's lateness may be
@@ -284,6 +287,7 @@ class Deployment:
         if hasattr(self, "heartbeat"):
             self.heartbeat.phase = Phase.ENDED
         self.observer.close()
+        sys.setswitchinterval(self._switch_interval_s)
         if hasattr(self, "_priority"):
             os.setpriority(os.PRIO_PROCESS, 0, self._priority)
         if self.supervisor:

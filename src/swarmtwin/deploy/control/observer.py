@@ -43,6 +43,7 @@ class Observer:
         camera: where the pictures come from.
         failure: why there will be no more pictures; None: there will.
         frame: the newest picture, for people to look at.
+        last_captured_s: when the newest picture was taken.
         last_known_s: when the newest picture's poses were known.
     """
 
@@ -68,6 +69,7 @@ class Observer:
         self.camera = camera
         self.failure: str | None = None
         self.frame: Frame | None = None
+        self.last_captured_s = -np.inf
         self.last_known_s = -np.inf
         self._tracker = tracker
         self._vehicles = tuple(vehicles)
@@ -156,6 +158,7 @@ class Observer:
                         seen.popleft()
             self._doubts = sighting.doubts
             self.frame = frame
+            self.last_captured_s = sighting.captured_s
             self.last_known_s = now_s
             self._known_s.append(now_s)
             self._changed.notify_all()

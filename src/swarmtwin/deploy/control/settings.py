@@ -75,7 +75,7 @@ class TimingSettings(StrictModel):
 
     Attributes:
         link_latency_s: from sending a command until it acts, by which poses are predicted ahead; null: as the link
-            measures it, and where it does not, nothing.
+            measures it, and what the vehicles' motion shows beyond that.
         beat_s: how often the controller looks for a reason to stop, and shows that it lives.
         follow_camera: shift the periods, by `largest_shift` at most, so that each begins just after a picture.
         largest_shift: of a period's length, as a share of it.

@@ -37,7 +37,7 @@ class StopConditions:
         """Ask whether pictures come."""
         if observer.failure:
             return observer.failure
-        age_s = now_s - observer.last_known_s
+        age_s = now_s - observer.last_captured_s
         if age_s > self._settings.picture_age_s:
             return f"camera {observer.camera.source}: no picture for {age_s:.2f} s"
         return None

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from swarmtwin.deploy.camera.camera import Frame
+from swarmtwin.deploy.tracking.calibration import Lens
 from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
 from swarmtwin.deploy.tracking.tracker import Tracker
 from swarmtwin.errors import UserError
@@ -108,8 +109,9 @@ def _methods(scenes: Scenes, calibrated_on: int) -> Mapping[Method, Callable[[np
     robot, vehicles, true = scenes.robot, scenes.vehicles, scenes.true_calibration()
     pictures = scenes.for_calibration(calibrated_on)
     return {
-        "tracker": _calibrated(scenes, pictures, None),
-        "measured_height": _calibrated(scenes, pictures, scenes.height_by_hand_mm),
+        "tracker": _calibrated(scenes, pictures),
+        "measured_height": _calibrated(scenes, pictures, camera_height_mm=scenes.height_by_hand_mm),
+        "measured_lens": _calibrated(scenes, pictures, lens=true.lens),
         "perfect": tracked(true, robot, vehicles),
         "subpixel": corners_alone(true, robot, vehicles, cv2.aruco.CORNER_REFINE_SUBPIX),
         "contour": corners_alone(true, robot, vehicles, cv2.aruco.CORNER_REFINE_CONTOUR),
@@ -118,11 +120,14 @@ def _methods(scenes: Scenes, calibrated_on: int) -> Mapping[Method, Callable[[np
 
 
 def _calibrated(
-    scenes: Scenes, pictures: Sequence[np.ndarray], camera_height_mm: float | None
+    scenes: Scenes,
+    pictures: Sequence[np.ndarray],
+    lens: Lens | None = None,
+    camera_height_mm: float | None = None,
 ) -> Callable[[np.ndarray], Found]:
     """Return our tracker, calibrated on pictures; one that finds nothing where the calibration is refused."""
     try:
-        calibration = fit_calibration(pictures, scenes.robot, camera_height_mm=camera_height_mm)
+        calibration = fit_calibration(pictures, scenes.robot, lens=lens, camera_height_mm=camera_height_mm)
     except UserError:
         return lambda image: {}
     return tracked(calibration, scenes.robot, scenes.vehicles)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from swarmtwin.deploy.tracking.calibration import Calibration, Lens
-from swarmtwin.markers import ArenaMarkers, marker_of
+from swarmtwin.markers import ArenaMarkers, arena_markers, marker_of
 from swarmtwin.robot import Robot
 from swarmtwin.standin.overhead_camera import CameraConditions, OverheadCamera
 from swarmtwin.strict_model import StrictModel
@@ -25,6 +25,7 @@ class Case(StrictModel):
         marker_mm: size of the vehicles' markers; None: as the robot's file says.
         speed_share: how fast the vehicles drive, as a share of their top speed.
         jpeg_quality: of the pictures' compression; None: they are not compressed.
+        laid_mm: standard deviation, along x and y, of where the arena's markers lie from where they should.
         calibrated_while_standing: the vehicles stay where they are on the pictures for the calibration; else they stand
             elsewhere on each.
     """
@@ -34,6 +35,7 @@ class Case(StrictModel):
     marker_mm: Annotated[float, Field(gt=0)] | None = None
     speed_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
+    laid_mm: Annotated[float, Field(ge=0)] = 0.0
     calibrated_while_standing: bool = False
 
 
@@ -84,7 +86,8 @@ class Scenes:
         chance = np.random.default_rng([seed, 0])
         drawn = _drawn_conditions(chance, seed)
         conditions = CameraConditions.parse({**drawn, **case.camera}, f"case {case.title!r}: camera")
-        self.camera = OverheadCamera(self.robot, vehicles, conditions)
+        self._layout = _laid(self.robot, case.laid_mm, chance)
+        self.camera = OverheadCamera(self.robot, vehicles, conditions, self._layout)
         self.height_by_hand_mm = conditions.camera_height_mm * (1 + tape_measure_share * chance.standard_normal())
 
     def draw(self, count: int) -> Iterator[Scene]:
@@ -96,7 +99,7 @@ class Scenes:
         """Return pictures to calibrate with: the vehicles stand on each; no cable hangs there yet."""
         if self.camera.conditions.cables:
             tidy = self.camera.conditions.model_copy(update={"cables": 0})
-            camera = OverheadCamera(self.robot, self.vehicles, tidy)
+            camera = OverheadCamera(self.robot, self.vehicles, tidy, self._layout)
         else:
             camera = self.camera
         poses = self._poses(count)
@@ -152,6 +155,13 @@ class Scenes:
         turning = (1 - np.abs(ahead)) * self._rng.choice([-1, 1], len(heading_rad))
         speed = top[0] * ahead
         return np.column_stack([speed * np.cos(heading_rad), speed * np.sin(heading_rad), top[2] * turning])
+
+
+def _laid(robot: Robot, deviation_mm: float, rng: np.random.Generator) -> ArenaMarkers:
+    """Return where the arena's markers lie that were laid by hand."""
+    centres = np.array([corners.mean(axis=0) for corners in arena_markers(robot).values()])
+    centres = centres + rng.normal(0, 1, centres.shape) * deviation_mm
+    return ArenaMarkers.parse({"centres_mm": centres.tolist()}, "the arena's markers")
 
 
 def _drawn_conditions(rng: np.random.Generator, seed: int) -> dict[str, Any]:

@@ -112,7 +112,7 @@ def _judged(options: Options, table: pd.DataFrame) -> dict[str, float]:
     """Return the figures of the first case, and whether they reach the goals, by how the camera was calibrated."""
     first = table[table.case == table.case.iloc[0]].set_index("method")
     figures: dict[str, float] = {}
-    for method in ("tracker", "measured_height", "perfect"):
+    for method in ("tracker", "measured_height", "measured_lens", "perfect"):
         row = first.loc[method]
         figures |= {f"{method}/{name}": float(row[name]) for name in ("p99_mm", "p99_deg", "bias_mm", "found_share")}
         figures[f"{method}/reaches_goal"] = float(

@@ -17,7 +17,7 @@ def tracking_table(title: str, table: pd.DataFrame, figures: Mapping[str, float]
         shown.add_row(f"[bold]{rows.case_title.iloc[0]}[/bold]")
         for row in rows.to_dict("records"):
             cells = [_number(row[name], digits) for name, digits in COLUMNS.items()]
-            style = None if row["method"] in ("tracker", "measured_height") else "dim"
+            style = None if row["method"] in ("tracker", "measured_height", "measured_lens") else "dim"
             shown.add_row(f"  {row['method_title']}", f"{100 * row['found_share']:.1f}", *cells, style=style)
     poses = int(table.poses.iloc[0])
     shown.caption = (

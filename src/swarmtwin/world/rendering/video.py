@@ -1,6 +1,7 @@
 """Videos of roll-outs: several of them from the same start side by side, as H.264 that every browser plays."""
 
 import math
+import platform
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain
 from pathlib import Path
@@ -41,11 +42,14 @@ def pictures(
         yield picture
 
 
-def write_video(path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24) -> None:
+def write_video(
+    path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24, constant_rate_factor: int = 20
+) -> None:
     """Write pictures (height, width, 3) uint8 of one even size as a video, whole or not at all.
 
     The same pictures give the same bytes: one thread, and colours converted by OpenCV, since FFmpeg's conversion leaves
-    its rows' padding undefined, on which the encoder's decisions then depend.
+    its rows' padding undefined, on which the encoder's decisions then depend. For the same reason x264 is kept from its
+    newest instructions, whose code looks beyond the end of rows that are no multiple of 64.
 
     Raises:
         ValueError: there are no pictures, or their size is odd.
@@ -55,7 +59,10 @@ def write_video(path: Path, images: Iterable[np.ndarray], frames_per_s: int = 24
     if first is None or any(size % 2 for size in first.shape[:2]):
         raise ValueError("a video needs pictures of an even width and height")
     with whole_file(path) as aside, av.open(str(aside), "w", format="mp4", options={"movflags": "+faststart"}) as file:
-        stream = file.add_stream("libx264", rate=frames_per_s, options={"crf": "20", "preset": "veryfast"})
+        options = {"crf": str(constant_rate_factor), "preset": "veryfast"}
+        if platform.machine().lower() in ("x86_64", "amd64"):
+            options["x264-params"] = "asm=sse4.2"  # which every such machine has that NumPy runs on
+        stream = file.add_stream("libx264", rate=frames_per_s, options=options)
         stream.codec_context.thread_count = 1
         stream.height, stream.width = first.shape[:2]
         stream.pix_fmt = "yuv420p"
