@@ -37,10 +37,10 @@ class FitSettings:
         moved_px: a vehicle that has not moved so far has the same pose still.
     """
 
-    corner_px: float = 0.1
+    corner_px: float = 0.06
     spread_px: float = 0.2
-    placed_mm: float = 0.3
-    printed_share: float = 0.001
+    placed_mm: float = 0.2
+    printed_share: float = 0.0005
     centre_share: float = 0.01
     k1: float = 0.15
     log_focal: float = 0.6
