@@ -57,7 +57,9 @@ def run(options: Options) -> dict[str, Any]:
     extended, learned = output / "diagnosis" / "simulation", output / "policy"
     stages = [
         Stage(name="before", words="as learned", policy=str(options.first_policy), simulation=options.simulation),
-        Stage(name="told", words="as learned, extended simulation", policy=str(options.first_policy), simulation=extended),
+        Stage(
+            name="told", words="as learned, extended simulation", policy=str(options.first_policy), simulation=extended
+        ),
         Stage(name="after", words="learned anew, extended simulation", policy=str(learned), simulation=extended),
     ]
     with _fleet(options) as fleet:
