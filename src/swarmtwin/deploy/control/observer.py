@@ -168,5 +168,5 @@ class Observer:
         if self._ends.is_set():
             return
         with self._changed:
-            self.failure = f"camera {self.camera.source}: {reason}"
+            self.failure = f"{self.camera.source}: {reason}"
             self._changed.notify_all()

@@ -39,7 +39,7 @@ class StopConditions:
             return observer.failure
         age_s = now_s - observer.last_captured_s
         if age_s > self._settings.picture_age_s:
-            return f"camera {observer.camera.source}: no picture for {age_s:.2f} s"
+            return f"{observer.camera.source}: no picture for {age_s:.2f} s"
         return None
 
     def of_poses(self, now_s: float, seen: Mapping[str, SeenPose], doubts: Mapping[str, str]) -> str | None:

@@ -42,6 +42,7 @@ class Options(StrictModel):
     learn_seeds: Count
     least_success: Annotated[float, Field(ge=0, le=1)]
     firmware_timeout_s: Positive | None
+    age_s: Positive
     seed: Seed
     output: Path
 
@@ -94,9 +95,10 @@ def run(options: Options) -> dict[str, Any]:
 class _RunningFleet:
     """A fleet and the address of its broker."""
 
-    def __init__(self, fleet: Fleet, address: str) -> None:
+    def __init__(self, fleet: Fleet, address: str, age_s: float) -> None:
         self.fleet = fleet
-        self.arguments = (f"broker={address}", f"camera={fleet.camera_url}", "page.show=false")
+        ages = (f"safety.pose_age_s={age_s}", f"safety.picture_age_s={age_s}")
+        self.arguments = (f"broker={address}", f"camera={fleet.camera_url}", "page.show=false", *ages)
 
     def place(self, seed: int) -> None:
         """Put the vehicles where this seed draws them."""
@@ -114,7 +116,7 @@ def _fleet(options: Options) -> Iterator[_RunningFleet]:
         EmbeddedBroker(port=0) as broker,
         Fleet(options.robot, options.vehicles, broker.broker, 0, settings) as fleet,
     ):
-        yield _RunningFleet(fleet, broker.broker.address)
+        yield _RunningFleet(fleet, broker.broker.address, options.age_s)
 
 
 def _parsed(effects: str) -> tuple[dict[str, Any], ...]:
@@ -147,20 +149,25 @@ def _deploy(options: Options, running: _RunningFleet, stage: Stage, count: int |
         )
 
 
-def _collect(options: Options, running: _RunningFleet) -> None:
+def _collect(options: Options, running: _RunningFleet, tries: int = 3) -> None:
+    """Record the fleet; a recording that a safety stop cut short is laid aside, and another begun."""
     folder = options.output / "recording"
-    if folder.exists():
-        return
-    running.place(options.seed)
-    _swarmtwin(
-        "collect",
-        f"robot={options.robot.name}",
-        f"vehicles=[{','.join(options.vehicles)}]",
-        f"runs={options.collect_runs}",
-        f"steps={options.collect_steps}",
-        *running.arguments,
-        f"output={folder}",
-    )
+    for number in range(1, tries + 1):
+        if folder.exists():
+            return
+        running.place(options.seed)
+        status = _swarmtwin(
+            "collect",
+            f"robot={options.robot.name}",
+            f"vehicles=[{','.join(options.vehicles)}]",
+            f"runs={options.collect_runs}",
+            f"steps={options.collect_steps}",
+            *running.arguments,
+            f"output={folder}",
+            may_refuse=number < tries,
+        )
+        if status:
+            folder.rename(folder.with_name(f"recording-stopped-{number}"))
 
 
 def _diagnose(options: Options) -> None:
@@ -209,8 +216,8 @@ def _promote(options: Options, policy: Path) -> None:
     )
 
 
-def _swarmtwin(*arguments: str, may_refuse: bool = False) -> None:
-    """Show a command and run it.
+def _swarmtwin(*arguments: str, may_refuse: bool = False) -> int:
+    """Show a command and run it; return its status, 0 or, where it may answer "no", 3.
 
     Raises:
         UserError: it answers with a mistake, or "no" where it may not.
@@ -221,6 +228,7 @@ def _swarmtwin(*arguments: str, may_refuse: bool = False) -> None:
         raise KeyboardInterrupt("the same command goes on")
     if status and not (may_refuse and status == 3):
         raise UserError(f"swarmtwin {arguments[0]} ended with status {status}: see above; the same command goes on")
+    return status
 
 
 def _rows(options: Options, stage: Stage) -> list[dict[str, Any]]:
