@@ -8,11 +8,12 @@ import torch
 
 from exact_model import simulation_with
 from swarmtwin.deploy.camera.camera import CameraLostError, Frame
-from swarmtwin.deploy.control.controller import Controller, Watchmen
+from swarmtwin.deploy.control.controller import Controller
 from swarmtwin.deploy.control.effect_time import EffectTimePredictor
 from swarmtwin.deploy.control.journal import Journal
 from swarmtwin.deploy.control.look_ahead import LookAhead
 from swarmtwin.deploy.control.observer import Observer
+from swarmtwin.deploy.control.outcome import Watchmen
 from swarmtwin.deploy.control.safety import SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
 from swarmtwin.deploy.control.stop_conditions import StopConditions

@@ -13,7 +13,7 @@ import pytest
 from playground import Playground, Told
 from real_broker import wait_until
 
-from swarmtwin.deploy.control.controller import Watchmen
+from swarmtwin.deploy.control.outcome import Watchmen
 from swarmtwin.deploy.live_view.overlay import Overlay
 from swarmtwin.deploy.live_view.slot import Slot
 from swarmtwin.deploy.live_view.view_process import LiveView, Scene

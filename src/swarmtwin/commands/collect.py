@@ -11,9 +11,9 @@ from rich.table import Table
 
 from swarmtwin.commands.deploy import check_no_kill, end_by, recovered
 from swarmtwin.deploy.control.collecting import CollectingDriver, CollectMode
-from swarmtwin.deploy.control.controller import Outcome
 from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.nominal_motion import nominal_simulation
+from swarmtwin.deploy.control.outcome import Outcome
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, output_folder

@@ -10,9 +10,9 @@ from pydantic import BeforeValidator, Field
 from rich.console import Console
 
 from swarmtwin.commands.rollout import ModelFolder
-from swarmtwin.deploy.control.controller import Outcome
 from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.driver import PolicyDriver
+from swarmtwin.deploy.control.outcome import Outcome
 from swarmtwin.deploy.control.recovery import left_by_a_kill, recover
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings, WatchSettings
 from swarmtwin.errors import RefusedError, UserError

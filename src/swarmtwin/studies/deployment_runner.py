@@ -13,10 +13,10 @@ import numpy as np
 from swarmtwin import __version__
 from swarmtwin.deploy.camera.camera import Camera
 from swarmtwin.deploy.camera.opening import open_camera
-from swarmtwin.deploy.control.controller import Outcome
 from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.deployment_recording import write_about, write_deployment
 from swarmtwin.deploy.control.observer import Tracks
+from swarmtwin.deploy.control.outcome import Outcome
 from swarmtwin.deploy.control.timing import median_and_p99
 from swarmtwin.deploy.link.broker import Broker, BrokerOptions
 from swarmtwin.deploy.link.link import Link

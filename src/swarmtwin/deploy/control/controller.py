@@ -2,21 +2,18 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Any, Literal
 
 import numpy as np
 
 from swarmtwin.deploy.control.driver import Driver
 from swarmtwin.deploy.control.effect_time import EffectTimePredictor
-from swarmtwin.deploy.control.expectation import Expectation
-from swarmtwin.deploy.control.heartbeat import Heartbeat, Phase
-from swarmtwin.deploy.control.interrupts import Interrupts
+from swarmtwin.deploy.control.heartbeat import Phase
 from swarmtwin.deploy.control.journal import Journal, JournalError
 from swarmtwin.deploy.control.motion_delay import MotionDelay
 from swarmtwin.deploy.control.observer import Observer, SeenPose
+from swarmtwin.deploy.control.outcome import Ending, Outcome, Watchmen
 from swarmtwin.deploy.control.safety import Decision, SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
 from swarmtwin.deploy.control.stop_conditions import StopConditions, standing
@@ -25,56 +22,6 @@ from swarmtwin.deploy.link.link import Link, LinkLostError
 from swarmtwin.geometry import displacement_between
 
 log = logging.getLogger(__name__)
-
-Ending = Literal["done", "stopped", "interrupted"]
-
-
-@dataclass
-class Outcome:
-    """How a drive ended.
-
-    Attributes:
-        ending: as planned, by a safety stop, or because somebody interrupted it.
-        reason: in words.
-        is_standing: whether all vehicles were seen to stand at the end.
-        stopped_s: when the first zeros were sent, on the monotonic clock.
-        periods: how many commands were sent to each vehicle.
-        lateness_s: of each period's beginning.
-        camera_to_command_s: from each period's oldest picture to the moment its command was sent.
-        decision_s: that the policy took.
-        filter_s: that the safety filter took.
-        motion_delay_s: from sending a command to its effect, as estimated in each period.
-    """
-
-    ending: Ending = "done"
-    reason: str = ""
-    is_standing: bool = False
-    stopped_s: float = float("nan")
-    periods: int = 0
-    lateness_s: list[float] = field(default_factory=list)
-    camera_to_command_s: list[float] = field(default_factory=list)
-    decision_s: list[float] = field(default_factory=list)
-    filter_s: list[float] = field(default_factory=list)
-    motion_delay_s: list[float] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Watchmen:
-    """Who else looks after the vehicles; each may be left out.
-
-    Attributes:
-        heartbeat: shared with the supervisor and the live view.
-        supervisor_lives: whether the supervisor's process is there.
-        publish: shows people how it stands; it never waits.
-        interrupts: what comes from outside.
-        expectation: the watching simulation.
-    """
-
-    heartbeat: Heartbeat | None = None
-    supervisor_lives: Callable[[], bool] = lambda: True
-    publish: Callable[[Mapping[str, Any]], None] = lambda state: None
-    interrupts: Interrupts = field(default_factory=Interrupts)
-    expectation: Expectation | None = None
 
 
 class Controller:

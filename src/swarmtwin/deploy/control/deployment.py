@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from swarmtwin.deploy.camera.camera import Camera, Frame
-from swarmtwin.deploy.control.controller import Controller, Outcome, Watchmen
+from swarmtwin.deploy.control.controller import Controller
 from swarmtwin.deploy.control.deployment_recording import SUPERVISOR_LOG, write_about
 from swarmtwin.deploy.control.driver import Driver
 from swarmtwin.deploy.control.effect_time import EffectTimePredictor
@@ -28,6 +28,7 @@ from swarmtwin.deploy.control.interrupts import Interrupts
 from swarmtwin.deploy.control.journal import JOURNAL, Journal, reserved_bytes
 from swarmtwin.deploy.control.look_ahead import LookAhead
 from swarmtwin.deploy.control.observer import Observer, Tracks
+from swarmtwin.deploy.control.outcome import Outcome, Watchmen
 from swarmtwin.deploy.control.safety import SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings, WatchSettings
 from swarmtwin.deploy.control.stop_conditions import StopConditions
