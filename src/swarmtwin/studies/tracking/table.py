@@ -10,9 +10,9 @@ from rich.table import Table
 def tracking_table(title: str, table: pd.DataFrame, figures: Mapping[str, float]) -> Table:
     """Return the terminal's table: a block for each case, a row for each method."""
     shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=f"{title}: poses from pictures")
-    shown.add_column("case\n  method", no_wrap=True)
+    shown.add_column("case\n  method", ratio=1)
     for heading in ("found\n%", "p50\nmm", "p99\nmm", "bias\nmm", "p50\n°", "p99\n°", "a picture\nms"):
-        shown.add_column(heading, justify="right", no_wrap=True)
+        shown.add_column(heading, justify="right", no_wrap=True, min_width=5)
     for _, rows in table.groupby("case", sort=False):
         shown.add_row(f"[bold]{rows.case_title.iloc[0]}[/bold]")
         for row in rows.to_dict("records"):
