@@ -4,8 +4,8 @@
 `--table` shows what is in the state file. A drive is `swarmtwin deploy` in a process forked from this one, which has
 imported everything. Into each drive some faults are brought that it may survive, and then one that it must answer. A
 witness with its own connection and the true poses at hand says what happened: no command beyond the limits, no vehicle
-that is still told to move a period after a fault which the host can answer, none beyond the fence by more than one
-period's motion, no command that was sent and is not in the recording, no traceback, and an exit status that fits.
+that is still told to move, or moves, a period after a fault which the host can answer, none beyond the fence by more
+than one period's motion, no command that was sent and is not in the recording, no traceback, and an exit status that fits.
 """
 
 import argparse
@@ -54,7 +54,7 @@ class Case(NamedTuple):
         survived: faults that it may survive, in order.
         fault: the one that it must answer; "" where the drive had ended before.
         firmware: "time-out" or "published".
-        answer_s: from that fault to the moment from which all vehicles are told to stand; None: they were not.
+        answer_s: from that fault to the moment at which all vehicles are told to stand; None: there was no such fault.
         beyond_mm: how far a vehicle's centre was beyond the fence at most; negative: it stayed inside.
         nearest_mm: least distance of two centres.
         status: of the command.
@@ -408,12 +408,17 @@ class Campaign:
         wrong = []
         answer_s = None
         if brought_s is not None:
-            moving = moments[(told != 0).any(axis=(1, 2)) & (moments > brought_s)]
-            answer_s = float(moving.max() - brought_s) if len(moving) else 0.0
+            told_to_move = (told != 0).any(axis=(1, 2))
+            answer_s = _until_rest(moments, told_to_move, brought_s) - brought_s
             by_firmware = last in ONLY_BY_FIRMWARE
             longest_s = robot.period_s * (2 if by_firmware else 1) + 0.03  # the witness looks every 0.01 s
-            if answer_s > longest_s and not (by_firmware and scene.firmware == "published"):
-                wrong.append(f"told to move for {answer_s:.2f} s after: {last}")
+            if not (by_firmware and scene.firmware == "published"):
+                if answer_s > longest_s:
+                    wrong.append(f"told to move for {answer_s:.2f} s after: {last}")
+                late = position[moments > brought_s + longest_s + 0.2]  # wheels run out for 0.2 s
+                moved_mm = float(np.linalg.norm(late - late[:1], axis=-1).max()) if len(late) else 0.0
+                if moved_mm > 3.0:
+                    wrong.append(f"moved by {moved_mm:.0f} mm later than that: {last}")
         if beyond_mm > robot.largest_displacement.forward_mm and not self._is_adrift(scene, last, brought_s):
             wrong.append(f"{beyond_mm:.0f} mm beyond the fence")
         wrong += self._beyond_limits(scene, witness)
@@ -474,6 +479,20 @@ class Campaign:
 
     def _disk_was_full(self, scene: Scene) -> bool:
         return scene.filled is not None
+
+
+def _until_rest(moments: np.ndarray, told_to_move: np.ndarray, since_s: float, for_s: float = 0.05) -> float:
+    """Return the moment from which vehicles are first told to stand for a while.
+
+    What comes later for a shorter time is a command that a frozen broker had kept, with the zeros behind it.
+    """
+    ends_s = since_s
+    for at_s, moves in zip(moments, told_to_move, strict=True):
+        if at_s > since_s and moves:
+            if at_s - ends_s > for_s:
+                return ends_s
+            ends_s = at_s
+    return ends_s
 
 
 def read_cases(state: Path) -> list[Case]:
