@@ -5,7 +5,7 @@
 imported everything. Into each drive some faults are brought that it may survive, and then one that it must answer. A
 witness with its own connection and the true poses at hand says what happened: no command beyond the limits, no vehicle
 that is still told to move, or moves, a period after a fault which the host can answer, none beyond the fence by more
-than one period's motion, no command that was sent and is not in the recording, no traceback, and an exit status that fits.
+than one period's motion, no command that was sent and is not in the recording, no traceback, and a status that fits.
 """
 
 import argparse
