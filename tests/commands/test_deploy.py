@@ -183,7 +183,7 @@ def press(stage):
 
 FAULTS = {
     "vehicle 2 has not been seen": (hide, False),
-    "memory: unplugged|camera memory: no picture": (unplug, False),
+    "memory: unplugged|memory: no picture": (unplug, False),
     "somebody else commands the vehicles": (foreign, True),
     "broker|link": (restart_broker, True),
     "the supervisor has been silent": (freeze_supervisor, True),
