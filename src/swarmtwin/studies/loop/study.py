@@ -70,14 +70,15 @@ def run(options: Options) -> dict[str, Any]:
         _deploy(options, fleet, stages[1])
         _learn(options, extended, learned)
         _deploy(options, fleet, stages[2])
-        _promote(options, learned)
+        is_champion = _promote(options, learned)
         champion = Stage(
             name="champion",
             words="the champion",
             policy=f"models:/{options.robot.name}-policy@champion",
             simulation=extended,
         )
-        _deploy(options, fleet, champion, count=1)
+        if is_champion:
+            _deploy(options, fleet, champion, count=1)
     table = pd.DataFrame([row for stage in stages for row in _rows(options, stage)])
     table.to_csv(output / "deployments.csv", index=False)
     diagnosis = json.loads((output / "diagnosis" / "diagnosis.json").read_text())
@@ -202,9 +203,10 @@ def _learn(options: Options, simulation: Path, folder: Path) -> None:
         )
 
 
-def _promote(options: Options, policy: Path) -> None:
+def _promote(options: Options, policy: Path) -> bool:
+    """Ask the gate; return whether the policy is the champion now."""
     done = sorted((options.output / "deployments" / "after").iterdir())
-    _swarmtwin(
+    status = _swarmtwin(
         "promote",
         f"robot={options.robot.name}",
         "what=policy",
@@ -214,6 +216,7 @@ def _promote(options: Options, policy: Path) -> None:
         f"policy_gate.least_success={options.least_success}",
         may_refuse=True,
     )
+    return status == 0
 
 
 def _swarmtwin(*arguments: str, may_refuse: bool = False) -> int:
