@@ -225,7 +225,7 @@ def _swarmtwin(*arguments: str, may_refuse: bool = False) -> int:
     Raises:
         UserError: it answers with a mistake, or "no" where it may not.
     """
-    Console().print(f"\n$ swarmtwin {' '.join(arguments)}", highlight=False, soft_wrap=True, style="bold")
+    Console().print(f"\n$ swarmtwin {' '.join(arguments)}", highlight=False, soft_wrap=True, style="bold", markup=False)
     status = subprocess.run([sys.executable, "-m", "swarmtwin", *arguments], check=False).returncode
     if status == 130:
         raise KeyboardInterrupt("the same command goes on")
