@@ -152,10 +152,14 @@ class Robot(StrictModel):
             raise UserError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
         return cls.parse(content, str(path))
 
-    @property
-    def without_hardware(self) -> "Robot":
-        """The robot as models know it: how it is spoken to and seen left out."""
-        return self.model_copy(update={"link": None, "marker": None})
+    def __eq__(self, other: object) -> bool:
+        """Whether both are the same to a model: how a lab speaks to a robot and sees it makes it no other robot."""
+        if not isinstance(other, Robot):
+            return NotImplemented
+        return self.model_dump() == other.model_dump()
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())
 
     def kinematic_equations(self) -> KinematicEquations:
         """Return the equations that its kinematics names."""

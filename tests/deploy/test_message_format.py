@@ -89,4 +89,4 @@ def test_numbers_too_coarse_to_stand_still_are_refused(robots):
     with pytest.raises(UserError, match=r"'mgr': link\.fields cannot say 'stand still' exactly"):
         MessageFormat(with_link(robots["mgr"], link))
     with pytest.raises(UserError, match="'mgr' cannot be spoken to"):
-        MessageFormat(robots["mgr"].without_hardware)
+        MessageFormat(robots["mgr"].model_copy(update={"link": None}))

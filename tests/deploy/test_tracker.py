@@ -256,6 +256,6 @@ def test_vehicles_that_cannot_be_told_apart_are_refused(lab, mgr):
     with pytest.raises(UserError, match="named twice"):
         Tracker(calibration, mgr, ("1", "1"))
     with pytest.raises(UserError, match="has no marker"):
-        Tracker(calibration, mgr.without_hardware, ("1",))
+        Tracker(calibration, mgr.model_copy(update={"marker": None}), ("1",))
     with pytest.raises(UserError, match="which lies on the arena's floor"):
         Tracker(calibration, mgr, ("46",))

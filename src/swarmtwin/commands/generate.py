@@ -80,7 +80,7 @@ def _check_alone(options: Options, robot: Robot, source: Path) -> None:
             raise UserError(
                 f"from=... draws from a trained generator, which needs no {name}=...: leave one of them out"
             )
-    if options.robot and options.robot.without_hardware != robot.without_hardware:
+    if options.robot and options.robot != robot:
         said = options.robot.name
         if said != robot.name:
             raise UserError(f"{source} is a generator of robot {robot.name!r}, not of {said!r}: leave robot=... out")
