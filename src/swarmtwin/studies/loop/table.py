@@ -30,8 +30,9 @@ class Stage(StrictModel):
 def loop_table(title: str, stages: Sequence[Stage], deployments: pd.DataFrame, diagnosis: dict[str, Any]) -> Table:
     """Return the table that a person reads: a row for each stage."""
     shown = Table(box=box.SIMPLE_HEAD, title=f"{title}: the loop closed")
-    for column in ("policy", "deployments", "succeeded", "stopped", "reward", "time, s", "weakened", "alarms"):
-        shown.add_column(column, justify="left" if column == "policy" else "right")
+    shown.add_column("policy", ratio=1)
+    for column in ("drives", "reached", "stopped", "reward", "time, s", "weakened", "alarms"):
+        shown.add_column(column, justify="right", no_wrap=True)
     for stage in stages:
         rows = deployments[deployments["stage"] == stage.name]
         shown.add_row(
