@@ -9,11 +9,11 @@ from pydantic import BeforeValidator, Field
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.commands.deploy import check_no_kill, end_by, recovered
 from swarmtwin.deploy.control.collecting import CollectingDriver, CollectMode
 from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.nominal_motion import nominal_simulation
-from swarmtwin.deploy.control.outcome import Outcome
+from swarmtwin.deploy.control.outcome import Outcome, end_by
+from swarmtwin.deploy.control.recovery import check_no_kill, recover
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, output_folder
@@ -72,7 +72,9 @@ def run(options: Options) -> dict[str, Any]:
         KeyboardInterrupt: somebody interrupted it; the vehicles stand.
     """
     if options.recover is not None:
-        return recovered(options.recover)
+        recover(options.recover)
+        Console().print(f"recording: {options.recover}", highlight=False, soft_wrap=True)
+        return {"output": str(options.recover)}
     if twice := sorted({one for one in options.vehicles if options.vehicles.count(one) > 1}):
         raise UserError(f"vehicle {twice[0]!r} is named twice: give each id once")
     simulation = _simulation(options)

@@ -9,15 +9,14 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 from rich.console import Console
 
-from swarmtwin.commands.rollout import ModelFolder
 from swarmtwin.deploy.control.deployment import Deployment, Plan
 from swarmtwin.deploy.control.driver import PolicyDriver
-from swarmtwin.deploy.control.outcome import Outcome
-from swarmtwin.deploy.control.recovery import left_by_a_kill, recover
+from swarmtwin.deploy.control.outcome import Outcome, end_by
+from swarmtwin.deploy.control.recovery import check_no_kill, recover
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings, WatchSettings
 from swarmtwin.errors import RefusedError, UserError
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, output_folder, write_text
-from swarmtwin.policies.policy_folder import StoredPolicy, TaskName, load_policy
+from swarmtwin.policies.policy_folder import ModelFolder, StoredPolicy, TaskName, load_policy
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.deployed_policy import (
@@ -95,7 +94,9 @@ def run(options: Options) -> dict[str, Any]:
         KeyboardInterrupt: somebody interrupted it; the vehicles stand.
     """
     if options.recover is not None:
-        return recovered(options.recover)
+        recover(options.recover)
+        Console().print(f"recording: {options.recover}", highlight=False, soft_wrap=True)
+        return {"output": str(options.recover)}
     folder_of_policy = registry.model_folder(options.policy.folder, options.task.name)
     policy = load_policy(folder_of_policy, options.robot, options.task.name)
     simulation = simulation_of(policy, options.simulation, options.robot)
@@ -128,26 +129,6 @@ def run(options: Options) -> dict[str, Any]:
     return {**tracked_deployment_figures(metrics), "output": str(output)}
 
 
-def recovered(output: Path) -> dict[str, Any]:
-    """Finish the recording of a deployment that was killed, and say where it is."""
-    recover(output)
-    Console().print(f"recording: {output}", highlight=False, soft_wrap=True)
-    return {"output": str(output)}
-
-
-def check_no_kill(output: Path, command: str) -> None:
-    """Refuse to write where a deployment was killed whose recording is not finished.
-
-    Raises:
-        UserError: there is one.
-    """
-    if left_by_a_kill(output):
-        raise UserError(
-            f"a deployment to {output} was killed, and its recording is not finished: swarmtwin {command} "
-            f"recover={output}, or choose another output"
-        )
-
-
 def chosen_vehicles(chosen: Vehicles, task: Task) -> tuple[str, ...]:
     """Return the ids of the vehicles that do a task.
 
@@ -162,20 +143,6 @@ def chosen_vehicles(chosen: Vehicles, task: Task) -> tuple[str, ...]:
     if twice := sorted({one for one in vehicles if vehicles.count(one) > 1}):
         raise UserError(f"vehicle {twice[0]!r} is named twice: give each id once")
     return vehicles
-
-
-def end_by(outcome: Outcome, output: Path) -> None:
-    """End a command as its vehicles did.
-
-    Raises:
-        RefusedError: by a safety stop, or they could not be seen to stand.
-        KeyboardInterrupt: by an interruption.
-    """
-    seen = "all vehicles stand" if outcome.is_standing else "the vehicles could not be seen to stand: look at them"
-    if outcome.ending == "interrupted" and outcome.is_standing:
-        raise KeyboardInterrupt(f"{seen}; the recording is in {output}")
-    if outcome.ending != "done" or not outcome.is_standing:
-        raise RefusedError(f"stopped: {outcome.reason}; {seen}; the recording is in {output}")
 
 
 def _deploy(

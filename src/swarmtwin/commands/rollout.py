@@ -8,7 +8,7 @@ from rich.console import Console
 
 from swarmtwin.files import check_output, new_folder
 from swarmtwin.learning.device import Device
-from swarmtwin.policies.policy_folder import TaskName, load_policy
+from swarmtwin.policies.policy_folder import ModelFolder, TaskName, load_policy
 from swarmtwin.policies.rollout_comparison import check_count, metrics_of, tracked_figures
 from swarmtwin.policies.rollout_folder import save_rollout
 from swarmtwin.policies.rollout_plots import draw_rollout
@@ -20,12 +20,6 @@ from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles
 from swarmtwin.world.rollout import Show
-
-
-class ModelFolder(StrictModel):
-    """A model by its folder, `models:/NAME@ALIAS` or `models:/NAME/VERSION`; policy=X is short for policy.folder=X."""
-
-    folder: str
 
 
 class Options(StrictModel):

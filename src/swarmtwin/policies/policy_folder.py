@@ -75,6 +75,12 @@ class PolicyProvenance(StrictModel):
         }
 
 
+class ModelFolder(StrictModel):
+    """A model by its folder, `models:/NAME@ALIAS` or `models:/NAME/VERSION`; policy=X is short for policy.folder=X."""
+
+    folder: str
+
+
 class TaskName(StrictModel):
     """The task that a policy must be for; task=X is short for task.name=X. None: whichever it is for."""
 

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from swarmtwin.deploy.control.expectation import Expectation
 from swarmtwin.deploy.control.heartbeat import Heartbeat
 from swarmtwin.deploy.control.interrupts import Interrupts
+from swarmtwin.errors import RefusedError
 
 Ending = Literal["done", "stopped", "interrupted"]
 
@@ -57,3 +59,17 @@ class Watchmen:
     publish: Callable[[Mapping[str, Any]], None] = lambda state: None
     interrupts: Interrupts = field(default_factory=Interrupts)
     expectation: Expectation | None = None
+
+
+def end_by(outcome: Outcome, output: Path) -> None:
+    """End a command as its vehicles did.
+
+    Raises:
+        RefusedError: by a safety stop, or they could not be seen to stand.
+        KeyboardInterrupt: by an interruption.
+    """
+    seen = "all vehicles stand" if outcome.is_standing else "the vehicles could not be seen to stand: look at them"
+    if outcome.ending == "interrupted" and outcome.is_standing:
+        raise KeyboardInterrupt(f"{seen}; the recording is in {output}")
+    if outcome.ending != "done" or not outcome.is_standing:
+        raise RefusedError(f"stopped: {outcome.reason}; {seen}; the recording is in {output}")

@@ -20,6 +20,19 @@ def left_by_a_kill(output: Path) -> Path | None:
     return partial if (partial / CHECKPOINTS / JOURNAL).exists() else None
 
 
+def check_no_kill(output: Path, command: str) -> None:
+    """Refuse to write where a deployment was killed whose recording is not finished.
+
+    Raises:
+        UserError: there is one.
+    """
+    if left_by_a_kill(output):
+        raise UserError(
+            f"a deployment to {output} was killed, and its recording is not finished: swarmtwin {command} "
+            f"recover={output}, or choose another output"
+        )
+
+
 def recover(output: Path) -> None:
     """Finish the recording of a deployment to `output` that was killed.
 
