@@ -61,8 +61,8 @@ $(call of_robots,pictures): pictures@%: policies@% dynamics@% study@%
 
 robot = $(lastword $(subst @, ,$@))
 code: STAGES = code@*
-transitions@mgr: STAGES = tracked@mgr
-$(call of_robots,transitions): STAGES += transitions@$(robot) synthetic@$(robot)-*
+of_clip@mgr = tracked@mgr
+$(call of_robots,transitions): STAGES = $(of_clip@$(robot)) transitions@$(robot) synthetic@$(robot)-*
 $(call of_robots,simulation): STAGES = synthetic_dynamics@$(robot)
 $(call of_robots,study): STAGES = real_and_synthetic@$(robot)
 policies@mgr: STAGES = policies@collective policies@obstacle transfer@mgr
