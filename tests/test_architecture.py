@@ -45,7 +45,7 @@ MAY_IMPORT = {
     "diagnosis": GROUND | set(ORDER),
     "world": GROUND | set(ORDER),
     "policies": GROUND | {*ORDER, "world"},
-    "deploy": GROUND | {*ORDER, "world", "policies", "tracking"},
+    "deploy": GROUND | {*ORDER, "world", "policies"},
     "standin": {"robot", "hardware", "markers", "geometry", "errors", "plugins", "strict_model"},
     "tracking": GROUND,
     "studies": GROUND | {*ORDER, "generators", "diagnosis", "world", "policies", "deploy", "standin", "tracking"},

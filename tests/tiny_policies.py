@@ -89,9 +89,12 @@ def provenance(source="nowhere", success=1.0, digest="digest"):
 
 
 def seeker(robot, task, speed=1.0):
-    """A policy put together by hand: turn to the target, drive until some 200 mm from it; with no speed, stay."""
+    """A policy put together by hand: turn to the target, drive until some 200 mm from it; with no speed, stay.
+
+    Near an obstacle, where there is one, it turns right.
+    """
     names = task.build(robot).observation_names
-    architecture = Architecture(layers=(3,), activation="relu", squashing="clip")
+    architecture = Architecture(layers=(4,), activation="relu", squashing="clip")
     policy = Policy(robot, names, architecture).eval()
     away, aside = names.index("target_distance"), names.index("target_direction_left")
     with torch.no_grad():
@@ -101,13 +104,17 @@ def seeker(robot, task, speed=1.0):
         policy.network[0].bias[0] = -0.4
         policy.network[0].weight[1, aside] = 1.0
         policy.network[0].weight[2, aside] = -1.0
+        if "obstacle_1_closeness" in names:
+            policy.network[0].weight[3, names.index("obstacle_1_closeness")] = 3.0
+            policy.network[0].weight[3, names.index("obstacle_1_forward")] = 0.5
+            policy.network[0].bias[3] = -1.5
         turn = 0.8 if speed else 0.0
-        policy.network[2].weight.copy_(torch.tensor([[speed, -turn, turn], [speed, turn, -turn]]))
+        policy.network[2].weight.copy_(torch.tensor([[speed, -turn, turn, turn], [speed, turn, -turn, -turn]]))
     return policy
 
 
 def save_seeker(folder, source="nowhere", speed=1.0, success=1.0, digest="digest", **changes):
-    """Save a seeker for two vehicles of the MGR as `learn` would; return its folder."""
+    """Save a seeker for two vehicles of the MGR, or for another `task`, as `learn` would; return its folder."""
     shutil.copytree(_seeker_folder(speed, tuple(changes.items())).name, folder)
     description = yaml.safe_load((folder / "policy.yaml").read_text())
     description["provenance"] = provenance(source, success, digest).model_dump(mode="json")
@@ -118,7 +125,9 @@ def save_seeker(folder, source="nowhere", speed=1.0, success=1.0, digest="digest
 @functools.cache
 def _seeker_folder(speed, changes):
     """A folder to copy: writing a policy takes a second."""
-    robot, task = robot_named("mgr"), task_named("collective", **{"vehicles": 2, "steps": 100, **dict(changes)})
+    changes = dict(changes)
+    robot, name = robot_named("mgr"), changes.pop("task", "collective")
+    task = task_named(name, **({"vehicles": 2, "steps": 100} if name == "collective" else {}), **changes)
     folder = tempfile.TemporaryDirectory()
     save_policy(Path(folder.name), seeker(robot, task, speed), task, robot.arena_mm, provenance())
     return folder

@@ -8,7 +8,6 @@ registered models and their files, the inputs, a run that stays RUNNING, a file 
 """
 
 import argparse
-import atexit
 import collections
 import contextlib
 import importlib
@@ -23,15 +22,14 @@ import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import yaml
+from forked import fork
 
-from swarmtwin import commands
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.files import folder_digest
 from swarmtwin.standin.physics import Physics
@@ -105,38 +103,6 @@ class Ended(NamedTuple):
     shown: str
     error: str
     seconds: float
-
-
-def fork(arguments: list[str], folder: Path, place: Path) -> int:
-    """Start a command in a process forked from this one, in a group and a folder of its own; return its id."""
-    streams = [os.open(place / name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC) for name in ("shown", "error")]
-    process = os.fork()
-    if process:
-        for stream in streams:
-            os.close(stream)
-        with contextlib.suppress(OSError):  # both do it: whoever comes first
-            os.setpgid(process, process)
-        return process
-    status = 1
-    try:
-        os.setpgid(0, 0)
-        os.chdir(folder)
-        for number, stream in enumerate(streams, start=1):
-            os.dup2(stream, number)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        sys.argv = ["swarmtwin", *arguments]
-        commands.main()
-        status = 0
-    except SystemExit as ending:
-        status = int(ending.code or 0)
-    except BaseException:
-        traceback.print_exc()
-    finally:
-        atexit._run_exitfuncs()
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
-    raise AssertionError
 
 
 def spawn(command: list[str], folder: Path, place: Path) -> int:

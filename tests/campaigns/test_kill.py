@@ -5,7 +5,8 @@ import signal
 import time
 
 import mlflow
-from kill import Case, ended, failures, fork, half_versions, kill, registered, still_running, table
+from forked import fork
+from kill import Case, ended, failures, half_versions, kill, registered, still_running, table
 
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking import registry

@@ -24,6 +24,7 @@ def options(robots, tmp_path):
             "camera": str(folder),
             "pictures": 12,
             "camera_height_mm": None,
+            "camera_above_mm": None,
             "markers": ArenaMarkers().model_dump(),
             "board": {"pictures": None},
             "output": str(tmp_path / "lab" / "calibration.yaml"),

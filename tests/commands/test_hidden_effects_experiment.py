@@ -6,33 +6,34 @@ import pandas as pd
 import pytest
 
 from case_results import result
-from swarmtwin.studies.hidden_effects.cases import VARIETIES
 from swarmtwin.studies.hidden_effects.metrics import Proportion
 
 STUDY = "swarmtwin.studies.hidden_effects.study"
-EXPERIMENT = ("experiment", "name=hidden_effects", "cases=[pair,clean]", "count.pair=2", "count.clean=1", "processes=1")
+EXPERIMENT = (
+    *("experiment", "name=hidden_effects", "families=[formulas,unruly]", "kinds=[two,clean]", "processes=1"),
+    *("count.quick.two=2", "count.quick.clean=4"),
+)
 
 
 def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swarmtwin, workshop, monkeypatch):
     asked = []
 
-    def examined(case, robot, reference, with_baselines):
+    def examined(case, with_baselines):
         if len(asked) == 7 and "again" not in asked:
             raise KeyboardInterrupt
         asked.append(case.key)
         names = list(case.true_names)
-        planted = result(case.kind, case.variety, names, robot=case.robot)
+        planted = result(case.kind, case.about, names, robot=case.robot)
         return planted.model_copy(update={"case": case})
 
     monkeypatch.setattr(f"{STUDY}.score_case", examined)
-    monkeypatch.setattr(f"{STUDY}.learned_reference", lambda robot, options, seed: None)
     assert swarmtwin(*EXPERIMENT, "output=study").status == 130
     assert not (workshop / "study").exists()
     first = list(asked)
     asked.append("again")
     answer = swarmtwin(*EXPERIMENT, "output=study")
     assert answer.status == 0, answer.error
-    cases = 2 * (2 + len(VARIETIES))
+    cases = 2 * (2 + 4)
     assert len(asked) == cases + 1
     assert len(set(asked)) == cases + 1
     assert first == asked[:7]
@@ -41,12 +42,13 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
     assert len(table) == cases
     assert (table.exact == 1).all()
     metrics = json.loads((folder / "metrics.json").read_text())
-    assert metrics["pair"]["exact"] == Proportion.of([True] * 4).model_dump()
-    assert metrics["clean"]["accused"]["count"] == 0
-    for name in ("confusion.png", "detection.png", "parameters.png", "clean.png", "parameters.csv", "report.md"):
+    assert metrics["families"]["unruly"]["two"]["exact"] == Proportion.of([True] * 2).model_dump()
+    assert metrics["families"]["formulas"]["clean"]["accused"]["count"] == 0
+    pictures = [f"{name}.png" for name in ("confusion", "detection", "parameters", "calibration", "clean")]
+    for name in (*pictures, "parameters.csv", "report.md"):
         assert (folder / name).stat().st_size > 0
-    assert "two effects: exactly these" in answer.shown
-    assert "100.0% (4/4)" in (folder / "report.md").read_text()
+    assert "two causes: both and nothing else" in answer.shown
+    assert "2/2 (34.2–100.0 %)" in (folder / "report.md").read_text()
 
 
 @pytest.mark.parametrize(
@@ -54,8 +56,10 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
     [
         (["robots=[create]"], "robot 'create' has no stand-in"),
         (["robots=[mrg]"], "robots: no such robot"),
-        (["cases=[singles]"], "cases: no such kind: 'singles': did you mean 'single'?"),
-        (["count.pair=0"], "options: field 'count.pair'"),
+        (["kinds=[tow]"], "kinds: no such kind: 'tow': did you mean 'two'?"),
+        (["families=[formula]"], "families: no such family: 'formula': did you mean 'formulas'?"),
+        (["count.quick.two=-1"], "options: field 'count.quick.two'"),
+        (["count.quick.two=0", "count.quick.clean=0"], "no session is left"),
     ],
 )
 def test_what_makes_no_sense_is_one_line(swarmtwin, workshop, options, message):

@@ -9,7 +9,7 @@ import yaml
 from swarmtwin.commands.app import config_folder
 from swarmtwin.commands.record import Options, run
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.exact_means import read_exact_means
+from swarmtwin.recordings.exact_means import EXACT_MEANS_FILE, read_exact_means
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.standin.effects import catalogue
 from swarmtwin.standin.physics import Physics
@@ -35,6 +35,17 @@ def record(robots, tmp_path):
         return tmp_path / output
 
     return call
+
+
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_a_rigid_body_is_recorded_alike_without_exact_means_that_nobody_knows(record, robots, robot):
+    folder = record(robot, engine="rigid_body", lost_poses=0)
+    recording = read_recording(folder, robots[robot])
+    assert from_recording(recording)[1].kept == 24
+    formulas = record(robot, "by_formulas", lost_poses=0)
+    names, by_formulas = ({path.name for path in each.iterdir()} for each in (folder, formulas))
+    assert by_formulas - names == {EXACT_MEANS_FILE}
+    assert (folder / "recording.yaml").read_text() == (formulas / "recording.yaml").read_text()
 
 
 @pytest.mark.parametrize("robot", ["mgr", "mur"])

@@ -8,7 +8,7 @@ import pytest
 from overhead import Scene, poses_at
 from swarmtwin.commands import prepare, track
 from swarmtwin.commands.inputs import check_inputs
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, fit_calibration
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import residual_between
 from swarmtwin.recordings.reading import read_recording
@@ -26,7 +26,7 @@ def drive(tmp_path_factory, robots):
     for number in range(FRAMES):
         hidden = ("4",) if 60 <= number < 75 else ()
         cv2.imwrite(str(folder / "pictures" / f"{number:04}.png"), scene.picture(number / 30, hidden=hidden))
-    fit_calibration(scene.pictures(), robots["mgr"], camera_height_mm=2000).save(folder / "calibration.yaml")
+    fit_calibration(scene.pictures(), robots["mgr"], by_hand=MeasuredByHand(2000)).save(folder / "calibration.yaml")
     return folder
 
 
@@ -46,6 +46,8 @@ def options(robots, drive, tmp_path):
             "robot": robot.model_dump() | {"marker": robot.marker.model_dump()},
             "video": str(drive / "pictures"),
             "calibration": str(drive / "calibration.yaml"),
+            "camera_height_mm": None,
+            "camera_above_mm": None,
             "commands": str(tmp_path / "commands.csv"),
             "video_began_s": COMMANDS_AHEAD_S,
             "longest_gap_s": 0.2,

@@ -51,6 +51,7 @@ class Vehicles:
         ids: of the vehicles.
         strength: factor on the motion of each, (V,).
         lost: whether the link is down.
+        interruptions: how often it was.
         heard: every command that arrived: (when, {vehicle: command}).
         deaf: vehicles that hear nothing any more.
     """
@@ -60,6 +61,7 @@ class Vehicles:
         self.ids = tuple(ids or (str(index + 1) for index in range(len(pose))))
         self.strength = np.ones(len(pose))
         self.lost = False
+        self.interruptions = 0
         self.deaf = set()
         self.heard = []
         self.announced = {}

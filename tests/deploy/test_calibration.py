@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from overhead import Scene
 from swarmtwin.deploy.tracking.calibration import Calibration, Lens
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, fit_calibration, loaded_or_fitted
 from swarmtwin.deploy.tracking.lens_board import Board, measure_lens
 from swarmtwin.deploy.tracking.rigid_fit import fitted_poses, fitted_square
 from swarmtwin.errors import UserError
@@ -91,7 +91,7 @@ def largest_error_mm(scene, calibration, height_mm):
 def test_with_the_height_measured_by_hand_raised_markers_are_where_they_are(robots, conditions):
     scene = Scene(robots["mgr"], **conditions)
     height_mm = conditions.get("camera_height_mm", 2000)
-    calibration = fit_calibration(scene.pictures(4), robots["mgr"], camera_height_mm=height_mm)
+    calibration = fit_calibration(scene.pictures(4), robots["mgr"], by_hand=MeasuredByHand(height_mm))
     assert largest_error_mm(scene, calibration, 45.0) < 0.5
     assert largest_error_mm(scene, calibration, 0.0) < 0.5
     assert calibration.mirrored == conditions.get("mirrored", False)
@@ -108,7 +108,7 @@ def test_without_it_vehicles_tell_the_height(robots):
 def test_markers_laid_a_little_aside_do_little_harm(robots):
     centres = ((-50.8, -50.0), (1080.0, -49.5), (1080.6, 1080.4), (-50.0, 1079.4))
     scene = Scene(robots["mgr"], layout=ArenaMarkers(centres_mm=centres))
-    calibration = fit_calibration(scene.pictures(4), robots["mgr"], camera_height_mm=2000)
+    calibration = fit_calibration(scene.pictures(4), robots["mgr"], by_hand=MeasuredByHand(2000))
     assert largest_error_mm(scene, calibration, 45.0) < 1.2
 
 
@@ -186,3 +186,24 @@ def test_one_picture_of_another_size_is_refused(robots):
     pictures = Scene(robots["mgr"]).pictures(2)
     with pytest.raises(UserError, match="the pictures differ in size: 670 × 660, 670 × 670"):
         fit_calibration([pictures[0], pictures[1][:-10]], robots["mgr"])
+
+
+def test_what_was_measured_by_hand_says_where_the_camera_hangs(robots):
+    """A plumb line and a tape, each a little wrong, are heeded as far as they can be trusted."""
+    scene = Scene(robots["mgr"], tilt_deg=3.0, off_centre_px=(9.0, -7.0))
+    true_mm = scene.camera.optics.place_mm
+    pictures = scene.pictures(4)
+    by_hand = MeasuredByHand(float(true_mm[2]) * 1.003, (float(true_mm[0]) + 2.0, float(true_mm[1]) - 2.0))
+    alone, helped = (fit_calibration(pictures, robots["mgr"], by_hand=one) for one in (None, by_hand))
+    off_alone, off_helped = (np.abs(one.camera_mm - true_mm) for one in (alone, helped))
+    assert off_helped[:2].max() < 6.0
+    assert off_helped[2] < 0.01 * true_mm[2]
+    assert np.hypot(*off_helped[:2]) < np.hypot(*off_alone[:2])
+    assert helped.uncertainty_mm < alone.uncertainty_mm
+
+
+def test_a_stored_calibration_is_not_mixed_with_what_was_measured_by_hand(robots, tmp_path):
+    with pytest.raises(UserError, match="camera_above_mm is of use where the arena's markers calibrate"):
+        loaded_or_fitted(tmp_path / "lab.yaml", list, robots["mgr"], MeasuredByHand(None, (500.0, 500.0)))
+    with pytest.raises(UserError, match="no calibration"):
+        loaded_or_fitted(tmp_path / "lab.yaml", list, robots["mgr"], MeasuredByHand())

@@ -30,6 +30,7 @@ FAULTS = {
     "not been seen": lambda ground: ground.tracker.hidden.add("2"),
     "unplugged|no picture": lambda ground: setattr(ground.camera, "broken", True),
     "link|no connection": lambda ground: setattr(ground.vehicles, "lost", True),
+    "lost for a moment": lambda ground: setattr(ground.vehicles, "interruptions", 1),
     "interrupted by SIGINT": lambda ground: setattr(ground.controller.watchmen.interrupts, "signalled", "SIGINT"),
     "emergency stop by key": lambda ground: setattr(ground.controller.watchmen.interrupts, "key", True),
 }
@@ -47,7 +48,7 @@ def test_each_fault_stops_all_vehicles(tmp_path, reason):
             ground.vehicles.lost = False
             happened.append(time.monotonic())
 
-    with Playground(tmp_path, APART, pose_age_s=0.3, picture_age_s=0.2, link_lost_s=0.05) as ground:
+    with Playground(tmp_path, APART, pose_age_s=0.3, picture_age_s=0.2) as ground:
         outcome = ground.drive(Told(20 * np.ones((3, 2))), periods=40, then=fault)
         stands = abs(ground.vehicles.poses() - ground.vehicles.poses()).max() < 1e-9
     assert outcome.ending == ("interrupted" if "SIGINT" in reason else "stopped")

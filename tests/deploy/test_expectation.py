@@ -72,6 +72,24 @@ def test_what_is_wrong_is_heard_within_a_few_periods(simulation, wrong, within):
     assert np.isfinite(first).mean() > 0.95
 
 
+@pytest.mark.parametrize(("gain", "within"), [(0.7, 8), (1.4, 4), (0.5, 3)])
+def test_what_is_wrong_from_the_beginning_is_heard_although_units_differ(simulation, gain, within):
+    """The median over 60 vehicles: what speeds and turns say alike is pooled, or -30 % would take 10 periods here."""
+    first, _ = watched(simulation, 60, 40, WatchSettings(), 2, gain=gain)
+    assert np.median(first) <= within
+    assert np.isfinite(first).mean() > 0.9
+
+
+def test_units_are_taken_for_strange_from_the_beginning_no_more_often_than_stated(simulation):
+    """The chance is that of a false alarm in `unit_alarm_periods`, once; units differ by as much as the prior says."""
+    settings = WatchSettings(periods_between_false_alarms=1e4, unit_alarm_periods=500.0, unit_spread=0.07)
+    vehicles, stated = 2000, 500.0 / 1e4
+    first, _ = watched(simulation, vehicles, 30, settings, 5, spread=np.sqrt(2) * 0.07)
+    by_others = 30 / 1e4
+    share = stated + by_others
+    assert np.isfinite(first).mean() <= share + 3 * np.sqrt(share / vehicles)
+
+
 def test_a_unit_that_differs_as_units_do_is_not_told_but_one_that_changes_is(simulation):
     first, _ = watched(simulation, 40, 60, WatchSettings(), 4, spread=0.07)
     assert np.isfinite(first).mean() < 0.1

@@ -14,6 +14,7 @@ from swarmtwin.deploy.fleet.orders import Orders, RobotFaults
 from swarmtwin.geometry import displacement_between
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.live import LiveVehicles
+from swarmtwin.standin.overhead_camera import CameraConditions, OverheadCamera
 from swarmtwin.standin.physics import Period, advance
 from swarmtwin.standin.session import StandInSession
 
@@ -21,8 +22,8 @@ NOBODY = np.empty((0, 2))
 START = (400.0, 500.0, 0.7)
 
 
-def vehicle_of(robot, name="2", effects=(), seed=1, pose=START, session_s=600.0, wall_mm=150.0):
-    return EmulatedVehicle(robot, name, parse_effects(effects, robot, 2), seed, pose, session_s, wall_mm)
+def vehicle_of(robot, name="2", effects=(), seed=1, pose=START, session_s=600.0, wall_mm=150.0, obstacles=()):
+    return EmulatedVehicle(robot, name, parse_effects(effects, robot, 2), seed, pose, session_s, wall_mm, obstacles)
 
 
 class Still:
@@ -124,6 +125,25 @@ def test_vehicles_that_meet_stop_each_other_and_walls_stop_them(robots):
     for _ in range(200):
         runaway.step(ahead, 0.0, NOBODY)
     assert runaway.pose[0] == robots["mgr"].arena_mm.x[1] + 80
+
+
+def test_an_obstacle_is_not_driven_through_and_is_seen_where_it_stands(robots):
+    """Straight at it a vehicle stays before it, beside its middle it slides along; the camera's disc has its size."""
+    robot, obstacle = robots["mgr"], (500.0, 500.0, 80.0)
+    touching_mm = 80 + max(robot.vehicle_size_mm) / 2
+    for aside_mm in (0.0, 30.0):
+        one = vehicle_of(robot, pose=(300, 500 + aside_mm, 0), obstacles=[obstacle])
+        for _ in range(400):
+            one.step(np.array([120.0, 120.0]), 0.0, NOBODY)
+            assert np.hypot(*(one.pose[:2] - obstacle[:2])) > touching_mm - 1e-6
+    flat = CameraConditions(pixel_noise=0.0, mm_per_pixel=4.0)
+    empty, occupied = (OverheadCamera(robot, ("1",), flat, obstacles=some) for some in ((), [obstacle]))
+    nowhere = np.full((1, 3), np.nan)
+    before, after = (camera.render(nowhere, np.random.default_rng(1)) for camera in (empty, occupied))
+    rows, columns = np.nonzero(np.abs(after.astype(int) - before) > 30)
+    middle_px = occupied.optics.project(np.array([[500.0, 500.0, 0.0]]))[0]
+    assert [columns.mean(), rows.mean()] == pytest.approx(middle_px, abs=0.5)
+    assert len(rows) * 4.0**2 == pytest.approx(np.pi * 80**2, rel=0.05)
 
 
 def test_nobody_reads_half_a_row(robots):

@@ -39,3 +39,10 @@ def test_vehicles_that_pass_each_other_between_two_moments_are_nearest_in_betwee
     nearest, _ = Ahead(position, np.zeros((1, 2, 2))).nearest_mm()
     assert nearest[0, 0, 0, 0, 1] == pytest.approx(30)
     assert nearest[0, 0, 0, 0, 0] == 0
+
+
+def test_a_vehicle_that_passes_an_obstacle_between_two_moments_is_nearest_in_between():
+    position = np.array([[[[0.0, 0.0]], [[100.0, 0.0]], [[100.0, 0.0]]]])
+    obstacles = np.array([[50.0, 60.0, 20.0], [900.0, 0.0, 20.0]])
+    gap = Ahead(position, np.zeros((1, 3, 1))).gap_mm(obstacles)
+    assert gap[0, :, 0] == pytest.approx([40.0, np.hypot(50, 60) - 20])

@@ -23,12 +23,12 @@ def simulation():
     return exact_simulation(robot_named("mgr"))
 
 
-def safety_filter(simulation, vehicles, separation_mm=110.0, **settings):
+def safety_filter(simulation, vehicles, separation_mm=110.0, obstacles=None, **settings):
     settings = SafetySettings(**settings)
     ahead = LookAhead(simulation, settings.look_ahead_periods, settings.unknown_spread)
     ids = [str(index + 1) for index in range(vehicles)]
     robot = simulation.robot
-    return SafetyFilter(robot, robot.arena_mm, ids, ahead, settings, separation_mm)
+    return SafetyFilter(robot, robot.arena_mm, ids, ahead, settings, separation_mm, obstacles=obstacles)
 
 
 def decide(simulation, pose, command, **settings):
@@ -76,6 +76,28 @@ def test_what_is_sent_rarely_leads_over_the_fence_when_motion_is_drawn(simulatio
             pose = after.pose[0].numpy()
             worst = max(worst, float(np.maximum(-pose[:, :2], pose[:, :2] - 1030).max()))
     assert worst < 2.0  # the fence's own margin is 5 mm
+
+
+def test_no_command_leads_into_an_obstacle_and_one_past_it_is_sent_as_it_is(simulation):
+    """From everywhere around it, straight at it and aside; the vehicle is taken as round, as the task does."""
+    obstacle = np.array([[500.0, 500.0, 80.0]])
+    contact_mm = 80.0 + max(simulation.robot.vehicle_size_mm) / 2
+    rng, drawn = np.random.default_rng(2), torch.Generator().manual_seed(2)
+    nearest = np.inf
+    for _ in range(20):
+        angle = rng.uniform(-np.pi, np.pi)
+        place = 500 + 230 * np.array([np.cos(angle), np.sin(angle)])
+        pose = torch.tensor([[[*place, angle + np.pi + rng.uniform(-0.4, 0.4)]]])
+        safe = safety_filter(simulation, 1, obstacles=obstacle)
+        for _ in range(10):
+            state = simulation.start(pose)
+            pose = simulation.step(state, torch.as_tensor(safe(state, FULL[None]).command)[None], rng=drawn).pose
+            nearest = min(nearest, float((pose[0, 0, :2] - torch.tensor([500.0, 500.0])).norm()))
+    assert nearest > contact_mm
+    towards = decide(simulation, [[500 - contact_mm - 20, 500, 0]], [FULL], obstacles=obstacle)
+    assert towards.reasons == (f"weakened to {towards.scale[0]:.0%}: obstacle",)
+    assert decide(simulation, [[500 - contact_mm - 20, 500, np.pi / 2]], [FULL], obstacles=obstacle).reasons == ("",)
+    assert decide(simulation, [[500 - contact_mm + 3, 500, 0]], [-FULL], obstacles=obstacle).reasons == ("",)
 
 
 def test_two_that_drive_at_each_other_stay_apart(simulation):

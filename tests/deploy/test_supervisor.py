@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from real_broker import wait_until
 
-from swarmtwin.deploy.control.heartbeat import ASKED, DIED, FROZE, Heartbeat, Phase
+from swarmtwin.deploy.control.heartbeat import Heartbeat, LatchReason, Phase
 from swarmtwin.deploy.control.supervisor import Orders, SupervisorProcess
 from tiny_policies import robot_named
 
@@ -90,9 +90,9 @@ def test_a_controller_that_lives_is_left_alone_and_one_that_freezes_is_stopped_i
     zeros_s = ear.zeros_after(last_s)
     assert SILENCE_S - 0.02 < zeros_s[0] < 0.5
     assert np.diff(zeros_s).max() < 0.15
-    assert heartbeat.latched == FROZE
+    assert heartbeat.latched == LatchReason.FROZE
     beat_for(heartbeat, 0.2)  # it wakes: that changes nothing any more
-    assert heartbeat.latched == FROZE
+    assert heartbeat.latched == LatchReason.FROZE
 
 
 def test_before_and_after_driving_silence_is_no_matter(supervised):
@@ -112,7 +112,7 @@ def test_a_controller_that_asks_is_helped(supervised):
     heartbeat.write("ask_supervisor", 1)
     assert wait_until(lambda: ear.zeros_after(asked_s))
     assert ear.zeros_after(asked_s)[0] < 0.1
-    assert heartbeat.latched == ASKED
+    assert heartbeat.latched == LatchReason.ASKED
 
 
 def test_it_shows_that_it_lives_and_when_it_is_frozen_it_does_not(supervised):
@@ -158,7 +158,7 @@ def test_a_controller_that_is_killed_is_followed_by_zeros_at_once_and_the_superv
     assert wait_until(lambda: ear.zeros_after(killed_s))
     assert ear.zeros_after(killed_s)[0] < 0.1
     assert wait_until(lambda: not _lives(pid))
-    assert heartbeat.latched == DIED
+    assert heartbeat.latched == LatchReason.DIED
     assert len(ear.zeros_after(killed_s)) >= 8
 
 

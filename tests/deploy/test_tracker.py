@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from overhead import VEHICLES, Scene, poses_at
 from swarmtwin.deploy.camera.camera import Frame
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, fit_calibration
 from swarmtwin.deploy.tracking.tracker import Tracker, TrackerSettings, vehicle_poses
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, residual_between
@@ -25,7 +25,7 @@ def mgr(robots):
 def lab(mgr):
     """A camera as usual, and its calibration with a height measured by hand."""
     scene = Scene(mgr)
-    return scene, fit_calibration(scene.pictures(), mgr, camera_height_mm=2000)
+    return scene, fit_calibration(scene.pictures(), mgr, by_hand=MeasuredByHand(2000))
 
 
 def errors(scene, tracker, times_s):
@@ -60,7 +60,7 @@ def test_poses_are_exact_in_ordinary_light(lab, mgr):
 )
 def test_poses_are_right_where_the_picture_is_worse(mgr, conditions, most_missed, most_mm, most_deg):
     scene = Scene(mgr, **conditions)
-    calibration = fit_calibration(scene.pictures(), mgr, camera_height_mm=2000)
+    calibration = fit_calibration(scene.pictures(), mgr, by_hand=MeasuredByHand(2000))
     assert calibration.mirrored == conditions.get("mirrored", False)
     off, missed = errors(scene, Tracker(calibration, mgr, VEHICLES), np.arange(0, 4, 0.1))
     assert missed <= most_missed
@@ -72,7 +72,7 @@ def test_where_the_marker_sits_on_the_vehicle_is_undone(mgr):
     marker = mgr.marker.model_copy(update={"forward_mm": 18.0, "left_mm": -7.0, "turn_deg": -90.0})
     robot = mgr.model_copy(update={"marker": marker})
     scene = Scene(robot)
-    calibration = fit_calibration(scene.pictures(), robot, camera_height_mm=2000)
+    calibration = fit_calibration(scene.pictures(), robot, by_hand=MeasuredByHand(2000))
     off, _ = errors(scene, Tracker(calibration, robot, VEHICLES), np.arange(0, 2, 0.1))
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.4
     assert np.abs(off[:, 2]).max() < np.deg2rad(0.3)

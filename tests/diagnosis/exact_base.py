@@ -105,9 +105,6 @@ def _photographed(pose, seen, camera, rng):
 
 
 def known_noise(spread=SPREAD):
-    """The noise of `steady_spread`, as it is."""
-    log_spread = torch.zeros(8, 3, dtype=torch.float64)
-    log_spread[0] = torch.tensor(spread, dtype=torch.float64).log()
-    usual = torch.tensor([20.0, 20.0, 0.5], dtype=torch.float64)
-    nothing = torch.zeros(3, 5, dtype=torch.float64)
-    return Noise(nothing, usual, log_spread, 3.0, torch.eye(3, dtype=torch.float64), None)
+    """The noise of `steady_spread`, as it is, of a camera that measures exactly."""
+    growth = np.column_stack([np.array(spread) ** 2, np.zeros((3, 2))])
+    return Noise(np.array([20.0, 0.5]), growth, 0.0, np.zeros(3), None)

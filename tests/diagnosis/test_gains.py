@@ -14,7 +14,8 @@ from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
-from swarmtwin.studies.hidden_effects.sessions import reference_session
+from swarmtwin.standin.session import StandInSession
+from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import from_recording
 
 STEPS = 40
@@ -23,7 +24,8 @@ STEPS = 40
 @pytest.fixture(scope="module")
 def recordings(robots):
     """A reference and a later session of the same vehicle, in which nothing is wrong."""
-    return [reference_session(robots["mgr"], runs, STEPS, seed).recording for runs, seed in ((30, 11), (24, 12))]
+    sessions = (StandInSession(robots["mgr"], ("1",), runs, STEPS, seed) for runs, seed in ((30, 11), (24, 12)))
+    return [record(session)[1] for session in sessions]
 
 
 @pytest.fixture(scope="module")

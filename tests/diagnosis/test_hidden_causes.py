@@ -6,15 +6,16 @@ right is the lower 1 % point of the binomial distribution of what is claimed: fe
 
 import numpy as np
 import pytest
-from hidden_sessions import SEED, hidden, learned, nothing_hidden
+from hidden_sessions import SEED, hidden, learned, nothing_hidden, usual, with_effects
 from scipy import stats
 
 from swarmtwin.diagnosis.diagnose import diagnose
-from swarmtwin.studies.hidden_effects.cases import VARIETIES, Case
-from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE
-from swarmtwin.studies.hidden_effects.sessions import measure
+from swarmtwin.studies.hidden_effects.cases import Case
+from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
+from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 
-CLEAR = 0.85
+CLEAR = 30.0  # percent by which the effect raises the one-step error
 ROBOTS = ("mgr", "mur")
 
 
@@ -38,7 +39,7 @@ def references(robots):
 
 
 def diagnosed(references, session):
-    return diagnose(references[session.case.robot], session.measured.recording, SEED).result
+    return diagnose(references[session.case.robot], session.recording, SEED).result
 
 
 def not_worse(result):
@@ -62,8 +63,9 @@ def test_clear_effects_are_named_first(robots, references):
 def test_the_example_of_the_readme_is_answered_with_what_is_hidden(robots, references):
     """A delay looks like a lag, and both are half of what is wrong: the other half is the battery."""
     effects = ({"name": "battery_sag", "loss": 0.2}, {"name": "command_delay", "delay_s": 0.05})
-    case = Case(kind="pair", variety="readme", robot="mgr", effects=effects, runs=100, steps=40, seed=12)
-    result = diagnose(references["mgr"], measure(case, robots["mgr"]).recording, SEED).result
+    case = Case(family="formulas", kind="two", robot="mgr", names=[one["name"] for one in effects], seed=12)
+    session = with_effects(case, usual(robots["mgr"], 100, 12), effects)
+    result = diagnose(references["mgr"], session.recording, SEED).result
     causes = {cause.name: {name: one.value for name, one in cause.parameters.items()} for cause in result.causes}
     assert set(causes) == {"battery_sag", "command_delay"}
     assert causes["command_delay"]["delay_s"] == pytest.approx(0.05, abs=0.004)
@@ -73,7 +75,9 @@ def test_the_example_of_the_readme_is_answered_with_what_is_hidden(robots, refer
 def test_nothing_is_named_where_nothing_is_wrong(robots, references):
     """No session is accused, other units included: at the claimed level of 1 % one of eight would be with 8 %."""
     for number, robot in enumerate(ROBOTS):
-        for variety in ("other_vehicle", *drawn(set(VARIETIES) - {"other_vehicle"}, 3, 2 + number)):
+        too_short = "few_transitions"  # of these sessions, which are short themselves
+        others = {variety for variety, fits in VARIETIES.items() if robot in fits} - {"other_vehicle", too_short}
+        for variety in ("other_vehicle", *drawn(others, 3, 2 + number)):
             session = nothing_hidden(robots[robot], variety)
             result = diagnosed(references, session)
             assert not result.causes, (session.about, result.causes)

@@ -9,7 +9,7 @@ from exact_base import ExactBase, known_noise, session_of
 
 from swarmtwin.configuration import config_folder
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
-from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.settings import DependenceSettings, DiagnosisSettings
 from swarmtwin.errors import UserError
@@ -32,8 +32,8 @@ def test_every_setting_says_what_it_decides():
 
 
 def test_an_unknown_setting_is_refused_with_the_near_miss():
-    with pytest.raises(UserError, match=r"unknown field 'search.fewest_nat'.*fewest_nats"):
-        DiagnosisSettings.parse({"search": {"fewest_nat": 3}}, "here")
+    with pytest.raises(UserError, match=r"unknown field 'search.most_cause'.*most_causes"):
+        DiagnosisSettings.parse({"search": {"most_cause": 3}}, "here")
     with pytest.raises(UserError, match=r"here: field 'dependence.false_discovery_rate'.*got 1.5"):
         DiagnosisSettings.parse({"dependence": {"false_discovery_rate": 1.5}}, "here")
 
@@ -52,7 +52,7 @@ def test_a_dependence_that_is_too_small_for_the_settings_does_not_matter(robots)
     rng = np.random.default_rng(3)
     measured, reference = (
         StandardisedResidual.of(model, model.evaluate([]))
-        for model in (LikelihoodModel(base, known_noise(), session) for session in (here, there))
+        for model in (SessionLikelihood(base, known_noise(), session) for session in (here, there))
     )
     measured.residual[:, 0] += 0.4 * np.cos(here.situation.pose[:, 2].numpy() + rng.normal(0, 0.01))
     found = {test.part: test for test in dependence_tests(measured, reference, 4)}

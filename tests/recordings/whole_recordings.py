@@ -14,9 +14,9 @@ from swarmtwin.recordings.recording import Header, Recording, Track
 from swarmtwin.robot import Arena, Robot
 from swarmtwin.standin.drive_commands import Operator
 from swarmtwin.standin.session import StandInSession
-from swarmtwin.studies.hidden_effects.cases import Plan, one_effect
+from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
-from swarmtwin.studies.hidden_effects.sessions import measure
+from swarmtwin.studies.hidden_effects.sessions import made_effects, sized_entry
 from swarmtwin.studies.stand_in_recording import record
 
 SEED = 20261122
@@ -390,6 +390,16 @@ def played(robot: str, kind: str) -> Recording:
     return record(StandInSession(of, ("1",), 3, 120, 5, drive=drive.clip(of.command_low, of.command_high)))[1]
 
 
+def clear(robot: str, name: str, sizes: tuple[float, float]) -> Recording:
+    """A session with an effect a little nearer to its largest than to its smallest size, on a logarithmic scale."""
+    case = Case(family="formulas", kind="one", robot=robot, names=(name,), rises_percent=(30.0,), seed=SEED)
+    vehicles = ("1", "2") if name == "neighbour_interaction" else ("1",)
+    session = StandInSession(ROBOTS[robot], vehicles, 6 // len(vehicles), 40, SEED, lost_poses=0.001)
+    size = float(np.exp(0.4 * np.log(sizes[0]) + 0.6 * np.log(sizes[1])))
+    effects = made_effects((sized_entry(name, size, case, session),), session)
+    return record(replace(session, effects=effects))[1]
+
+
 PLAYED = ("straight", "on the spot", "backwards", "slow", "few values", "one command", "forwards", "left turns")
 
 
@@ -405,8 +415,6 @@ def unusual() -> Iterator[Judged]:
     for robot in ("mgr", "mur"):
         for kind in PLAYED:
             yield Judged(f"{robot}: {kind}", played(robot, kind))
-        plan = Plan(seed=SEED, runs=6, steps=40, references=1)
         for name, sizes in CATALOGUE.items():
             if robot in sizes:
-                case = one_effect(ROBOTS[robot], plan, name, 1.0, 0)
-                yield Judged(f"{robot}: a clear {name}", measure(case, ROBOTS[robot]).recording)
+                yield Judged(f"{robot}: a clear {name}", clear(robot, name, sizes[robot]))

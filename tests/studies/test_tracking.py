@@ -9,7 +9,7 @@ from swarmtwin.commands.app import run_command
 from swarmtwin.errors import UserError
 from swarmtwin.studies.tracking.errors import COLUMNS, measured_errors, summary
 from swarmtwin.studies.tracking.methods import corners_alone
-from swarmtwin.studies.tracking.scenes import Case, Scenes
+from swarmtwin.studies.tracking.scenes import Case, Hand, Scenes
 
 VEHICLES = ("1", "2", "3")
 
@@ -24,7 +24,8 @@ def test_the_perfect_calibration_is_the_camera_s_own(robots, camera):
         seen = [scenes.camera.size[0] - 1, 0] + seen * [-1, 1]
     np.testing.assert_allclose(calibration.to_pixels(places), seen, atol=1e-6)
     assert calibration.camera_mm[2] == pytest.approx(scenes.camera.conditions.camera_height_mm)
-    assert scenes.height_by_hand_mm == pytest.approx(calibration.camera_mm[2], rel=0.02)
+    assert scenes.by_hand.camera_height_mm == pytest.approx(calibration.camera_mm[2], rel=0.04)
+    assert scenes.by_hand.camera_above_mm == pytest.approx(calibration.camera_mm[:2], abs=20)
 
 
 def test_pictures_show_the_poses_that_are_said_to_be_true_and_a_seed_says_all(robots):
@@ -80,7 +81,7 @@ def test_the_summary_finds_planted_errors():
 
 def test_a_homography_of_the_floor_is_off_by_the_marker_s_parallax_and_our_tracker_is_not(robots):
     camera = {"k1": 0.0, "tilt_deg": 0.0, "camera_height_mm": 2000.0, "off_centre_px": (0.0, 0.0)}
-    rows, _ = measured_errors(robots["mgr"], VEHICLES, Case(title="plain", camera=camera), 6, 4, 3)
+    rows, _ = measured_errors(robots["mgr"], VEHICLES, Case(title="plain", camera=camera), 6, 4, 3, Hand())
     by_method = dict(iter(rows.groupby("method")))
     flat = by_method["homography"]
     height_mm = robots["mgr"].marker.height_mm
@@ -93,6 +94,7 @@ def test_a_homography_of_the_floor_is_off_by_the_marker_s_parallax_and_our_track
     assert ours["p99_mm"] < 0.1
     assert ours["p99_deg"] < 0.15
     assert summary(by_method["measured_height"])["p99_mm"] < 0.4
+    assert summary(by_method["measured_place"])["p99_mm"] < 0.4
 
 
 def test_the_command_leaves_table_errors_and_pictures_and_says_what_it_does_not_know(workplace, capfd):

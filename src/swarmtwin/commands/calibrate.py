@@ -12,7 +12,7 @@ from rich.console import Console
 from swarmtwin.deploy.camera.camera import Frame
 from swarmtwin.deploy.camera.opening import open_camera
 from swarmtwin.deploy.tracking.calibration import Calibration
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, fit_calibration
 from swarmtwin.deploy.tracking.calibration_pictures import take_pictures
 from swarmtwin.deploy.tracking.drawing import drawn
 from swarmtwin.deploy.tracking.lens_board import Board, measure_lens
@@ -39,6 +39,7 @@ class Options(StrictModel):
     camera: str
     pictures: Annotated[int, Field(ge=1, le=1000)]
     camera_height_mm: Positive | None
+    camera_above_mm: tuple[float, float] | None
     markers: ArenaMarkers
     board: BoardOptions
     output: Path
@@ -58,7 +59,8 @@ def run(options: Options) -> dict[str, Any]:
     if options.board.pictures is not None:
         lens = measure_lens(_pictures(options.board.pictures, 60), options.board)
     pictures = _pictures(options.camera, options.pictures)
-    calibration = fit_calibration(pictures, robot, options.markers, lens, options.camera_height_mm)
+    by_hand = MeasuredByHand(options.camera_height_mm, options.camera_above_mm)
+    calibration = fit_calibration(pictures, robot, options.markers, lens, by_hand)
     poses = _vehicles_on(pictures[-1], calibration, robot)
     picture = drawn(pictures[-1], calibration, robot, poses, marker_of(robot).height_mm)
     options.output.parent.mkdir(parents=True, exist_ok=True)

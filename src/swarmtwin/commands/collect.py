@@ -10,19 +10,17 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin.deploy.control.collecting import CollectingDriver, CollectMode
-from swarmtwin.deploy.control.deployment import Deployment, Plan
+from swarmtwin.deploy.control.deployment import Deployment
 from swarmtwin.deploy.control.nominal_motion import nominal_simulation
 from swarmtwin.deploy.control.outcome import Outcome, end_by
+from swarmtwin.deploy.control.plan import Plan
 from swarmtwin.deploy.control.recovery import check_no_kill, recover
-from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, output_folder
-from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.deployment_runner import (
-    BrokerOptions,
-    PageOptions,
+    DrivingOptions,
     about_deployment,
     counted,
     finish_recording,
@@ -41,26 +39,15 @@ log = logging.getLogger(__name__)
 PLANNED_BY_DIAGNOSIS = "next_drive.csv"
 
 
-class Options(StrictModel):
+class Options(DrivingOptions):
     """Options of `swarmtwin collect`; their defaults stand in conf/collect.yaml."""
 
-    robot: Robot
     vehicles: Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]
     runs: Annotated[int, Field(ge=1)]
     steps: Annotated[int, Field(ge=1)]
     commands: CollectMode
     drive: Path | None
     simulation: str | None
-    broker: BrokerOptions
-    camera: str
-    calibration: Path | None
-    safety: SafetySettings
-    timing: TimingSettings
-    page: PageOptions
-    seed: Seed
-    recover: Path | None
-    output: Path | None
-    overwrite: bool
 
 
 def run(options: Options) -> dict[str, Any]:
@@ -131,7 +118,7 @@ def _collect(
     outcomes: list[Outcome] = []
     rng = np.random.default_rng(options.seed)
     try:
-        eyes = open_eyes(robot, plan.vehicles, plan.arena, options.camera, options.calibration)
+        eyes = open_eyes(robot, plan.vehicles, plan.arena, options.camera, options.calibration, options.by_hand)
         header = header_of(
             plan, f"collected by swarmtwin, commands {'planned' if drive is not None else options.commands}"
         )

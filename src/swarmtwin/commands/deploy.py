@@ -9,17 +9,19 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 from rich.console import Console
 
-from swarmtwin.deploy.control.deployment import Deployment, Plan
+from swarmtwin.deploy.control.deployment import Deployment
 from swarmtwin.deploy.control.driver import PolicyDriver
 from swarmtwin.deploy.control.outcome import Outcome, end_by
+from swarmtwin.deploy.control.plan import Plan
 from swarmtwin.deploy.control.recovery import check_no_kill, recover
-from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings, WatchSettings
+from swarmtwin.deploy.control.settings import WatchSettings
 from swarmtwin.errors import RefusedError, UserError
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, output_folder, write_text
 from swarmtwin.policies.policy_folder import ModelFolder, StoredPolicy, TaskName, load_policy
-from swarmtwin.robot import Positive, Robot, Seed, StrictModel
+from swarmtwin.robot import Positive
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.deployed_policy import (
+    check_obstacles,
     deployment_metrics,
     deployment_table,
     draw_deployment,
@@ -28,8 +30,7 @@ from swarmtwin.studies.deployed_policy import (
     tracked_deployment_figures,
 )
 from swarmtwin.studies.deployment_runner import (
-    BrokerOptions,
-    PageOptions,
+    DrivingOptions,
     about_deployment,
     counted,
     finish_recording,
@@ -50,39 +51,30 @@ from swarmtwin.world.task import Task
 log = logging.getLogger(__name__)
 
 
-def _points(value: Any) -> Any:
-    """Make [x, y] a list of one target."""
-    single = isinstance(value, Sequence) and len(value) == 2 and not isinstance(value[0], Sequence)
+def _several(value: Any) -> Any:
+    """Make one target, [x, y], or one obstacle, [x, y, radius], a list of one."""
+    single = isinstance(value, Sequence) and len(value) > 0 and not isinstance(value[0], Sequence)
     return [value] if single else value
 
 
-Targets = Annotated[tuple[tuple[float, float], ...] | None, BeforeValidator(_points)]
+Targets = Annotated[tuple[tuple[float, float], ...] | None, BeforeValidator(_several)]
+Obstacles = Annotated[tuple[tuple[float, float, Positive], ...], BeforeValidator(_several)]
 
 
-class Options(StrictModel):
+class Options(DrivingOptions):
     """Options of `swarmtwin deploy`; their defaults stand in conf/deploy.yaml."""
 
-    robot: Robot
     policy: ModelFolder
     task: TaskName
     simulation: str | None
     vehicles: Vehicles
     target: Targets
+    obstacles: Obstacles
     steps: Annotated[int, Field(ge=1)] | None
-    broker: BrokerOptions
-    camera: str
-    calibration: Path | None
-    safety: SafetySettings
     watch: WatchSettings
-    timing: TimingSettings
-    page: PageOptions
     compare: Annotated[int, Field(ge=0)]
     video: bool
     speed: Positive
-    seed: Seed
-    recover: Path | None
-    output: Path | None
-    overwrite: bool
 
 
 def run(options: Options) -> dict[str, Any]:
@@ -102,6 +94,7 @@ def run(options: Options) -> dict[str, Any]:
     simulation = simulation_of(policy, options.simulation, options.robot)
     task = policy.task.build(options.robot, policy.arena)
     vehicles = chosen_vehicles(options.vehicles, task)
+    check_obstacles(task, options.obstacles)
     name = f"{options.robot.name}-{policy.task.name}"
     output = output_folder(options.output, "deploy", name)
     check_no_kill(output, "deploy")
@@ -115,6 +108,7 @@ def run(options: Options) -> dict[str, Any]:
             arena=policy.arena,
             simulation=simulation.eval(),
             link=None,
+            obstacles=options.obstacles,
             collision_mm=getattr(task.config, "collision_mm", None),
             periods=periods,
             safety=options.safety,
@@ -153,7 +147,7 @@ def _deploy(
     view = None
     try:
         plan = plan.with_supervisor(told)
-        eyes = open_eyes(options.robot, plan.vehicles, plan.arena, options.camera, options.calibration)
+        eyes = open_eyes(options.robot, plan.vehicles, plan.arena, options.camera, options.calibration, options.by_hand)
         title = f"{options.robot.title}: {policy.task.name}"
         header = header_of(plan, f"deployment of {options.policy.folder}")
         about = about_deployment(plan, header, options.model_dump(mode="json"), eyes)
@@ -164,8 +158,8 @@ def _deploy(
         say_what_cannot_be_stopped(options.robot)
         with Deployment(plan, link, eyes.camera, eyes.tracker, folder / CHECKPOINTS, about, view) as deployment:
             start = deployment.wait_for_vehicles()
-            scenario = scenario_for(task, start, options.target, options.seed)
-            driver = PolicyDriver(policy.policy, task, scenario.targets[0])
+            scenario = scenario_for(task, start, options.target, options.obstacles, options.seed)
+            driver = PolicyDriver(policy.policy, task, scenario.targets[0], scenario.obstacles[0])
             outcome = deployment.drive(driver, plan.periods, "run_001")
         counters = counted(deployment, [outcome])
     finally:

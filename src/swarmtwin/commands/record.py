@@ -1,7 +1,7 @@
 """`swarmtwin record`: stand-in robots drive; a recording results."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 from rich.console import Console
@@ -14,9 +14,11 @@ from swarmtwin.recordings.exact_means import write_exact_means
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.recordings.writing import FileFormat, write_recording
 from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.standin.character import CharacterName
 from swarmtwin.standin.drive_commands import CommandMode
 from swarmtwin.standin.effects import parse_effects
-from swarmtwin.standin.session import StandInSession, require_stand_in
+from swarmtwin.standin.rigid_body.driving import drive_rigid_session
+from swarmtwin.standin.session import StandInSession, drive_session, require_stand_in
 from swarmtwin.studies.stand_in_film import write_film
 from swarmtwin.studies.stand_in_recording import check_size, exact_means_of, read_drive, record
 from swarmtwin.transitions import Counts, from_recording
@@ -27,12 +29,14 @@ class Options(StrictModel):
     """Options of `swarmtwin record`; their defaults stand in conf/record.yaml."""
 
     robot: Robot
+    engine: Literal["formulas", "rigid_body"]
     vehicle: Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]
     runs: Annotated[int, Field(ge=1)]
     steps: Annotated[int, Field(ge=1)]
     transitions: Annotated[int, Field(ge=1)] | None
     seed: Annotated[int, Field(ge=0)]
     effects: tuple[Any, ...]
+    character: CharacterName
     commands: CommandMode
     drive: Path | None
     lost_poses: Annotated[float, Field(ge=0, lt=1)]
@@ -46,14 +50,17 @@ def run(options: Options) -> dict[str, Any]:
     """Record, show what the recording holds, and return how much. Nothing in it tells which effects were on, if any.
 
     Raises:
-        UserError: the robot has no stand-in, an effect or the drive makes no sense, or the output is taken.
+        UserError: the robot has no stand-in in this engine, the engine is not installed, an effect or the drive makes
+            no sense, or the output is taken.
     """
+    drive = drive_rigid_session if options.engine == "rigid_body" else drive_session
     session = plan_session(options)
     config = options.model_dump(mode="json", exclude={"effects"})
     with new_folder(options.output, "record", config, options.overwrite) as folder:
-        footage, recording = record(session, options.transitions)
+        footage, recording = record(session, options.transitions, drive=drive)
         write_recording(folder, options.robot, recording.header, recording.tracks, options.format)
-        write_exact_means(folder, exact_means_of(footage, recording))
+        if options.engine == "formulas":
+            write_exact_means(folder, exact_means_of(footage, recording))
         if options.film is not None:
             write_film(folder, footage, options.film)
         _, counts = from_recording(recording)
@@ -91,6 +98,7 @@ def plan_session(options: Options) -> StandInSession:
         command_mode=options.commands,
         drive=None if options.drive is None else read_drive(options.drive, options.robot),
         lost_poses=options.lost_poses,
+        character=options.character,
         planned_runs=runs,
     )
 

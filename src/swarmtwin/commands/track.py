@@ -4,6 +4,7 @@ import logging
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import pandas as pd
 from pydantic import Field
 from rich.console import Console
@@ -12,7 +13,7 @@ from rich.table import Table
 
 from swarmtwin.deploy.camera.opening import open_camera
 from swarmtwin.deploy.tracking.calibration import Calibration
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, loaded_or_fitted
 from swarmtwin.deploy.tracking.calibration_pictures import take_pictures
 from swarmtwin.deploy.tracking.tracked_pictures import TrackedPictures, track_all
 from swarmtwin.deploy.tracking.tracker import Tracker, TrackerSettings
@@ -35,6 +36,8 @@ class Options(StrictModel):
     robot: Robot
     video: str
     calibration: Path | None
+    camera_height_mm: Positive | None
+    camera_above_mm: tuple[float, float] | None
     commands: Path
     video_began_s: float
     longest_gap_s: Positive
@@ -78,15 +81,16 @@ def run(options: Options) -> dict[str, Any]:
 
 
 def _calibration(options: Options) -> Calibration:
-    if options.calibration is not None:
-        return Calibration.load(options.calibration)
-    camera = open_camera(options.video)
+    by_hand = MeasuredByHand(options.camera_height_mm, options.camera_above_mm)
+    return loaded_or_fitted(options.calibration, lambda: _pictures(options.video), options.robot, by_hand)
+
+
+def _pictures(video: str) -> list[np.ndarray]:
+    camera = open_camera(video)
     try:
-        calibration = fit_calibration(take_pictures(camera), options.robot)
+        return take_pictures(camera)
     finally:
         camera.close()
-    log.info("calibrated by the arena's markers: %s", calibration.summary(options.robot))
-    return calibration
 
 
 def _folders(options: Options) -> list[Path]:

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from scipy import stats
 
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, LikelihoodModel
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.result import Dependence
 from swarmtwin.diagnosis.settings import DependenceSettings
@@ -33,23 +33,24 @@ class StandardisedResidual:
 
     @classmethod
     def of(
-        cls, model: LikelihoodModel, fitted: FittedMechanisms, weight: np.ndarray | None = None
+        cls, model: SessionLikelihood, fitted: FittedMechanisms, weight: np.ndarray | None = None
     ) -> "StandardisedResidual":
         """Take the residuals that fitted mechanisms leave."""
         clip_z = model.settings.dependence.clip_z
         clipped = np.clip(fitted.residual, -clip_z, clip_z)
         weight = np.ones(len(clipped)) if weight is None else weight
-        return cls(model.session, clipped, model.whitener.size.numpy(), _member_changes(model), weight)
+        twist = model.simulated.numpy()
+        size = twist / np.maximum(twist.std(axis=0), 1e-9)
+        return cls(model.session, clipped, size, _member_changes(model), weight)
 
 
-def _member_changes(model: LikelihoodModel) -> np.ndarray:
+def _member_changes(model: SessionLikelihood) -> np.ndarray:
     """Return (M, N, 3) how standardised residuals change with single members of the simulation."""
-    session, whitener = model.session, model.whitener
-    mean = whitener(session.residual_of(model.simulated))
     changes = [
-        (whitener(session.residual_of(model.simulated_by(member))) - mean).numpy() for member in range(model.members)
+        model.filter(model.changes_of(model.predictor.with_member(member).twist(()))[..., None])[..., 0]
+        for member in range(model.members)
     ]
-    return np.array(changes) if changes else np.empty((0, len(session), 3))
+    return np.array(changes) if changes else np.empty((0, len(model.session), 3))
 
 
 def dependence_tests(

@@ -1,27 +1,35 @@
 """From measured data to a cause with a name, an extended simulation and its gain, in four steps.
 
 1. Reference and residual: what a simulation gets wrong, in units of the noise it has where nothing is wrong
-   (`reference`, `noise`, `unit_spread`).
-2. Dependence: what the residual depends on (`dependence`).
-3. Causes: which mechanisms make the session likely, how sure their parameters are, and what they leave (`likelihood`,
-   `estimation`, `posterior`, `cause_search`, `motion_noise`, `residual_analysis`).
-4. Finding: causes as they are reported, gains on held-out runs, the next recording (`cause_report`, `gains`,
-   `next_recording`, `result`; pictures in `report/`).
+   (`reference`, `noise`, `discrepancy`, `unit_spread`; `session_prediction` runs the simulation along a session).
+2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
+3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
+   (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
+   them leaves (`left_over`).
+4. Finding: causes as they are reported, gains on held-out runs, the smallest effects that the session would have shown,
+   the next recording (`cause_report`, `gains`, `detection_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
 from collections.abc import Sequence
 
 import numpy as np
+import torch
 
 from swarmtwin.diagnosis.cause_report import reported_causes
-from swarmtwin.diagnosis.cause_search import Progress
+from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
+from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
+from swarmtwin.diagnosis.detection_limits import detection_limits
+from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
-from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.left_over import Explanation, explanation
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.reference import Reference
-from swarmtwin.diagnosis.residual_analysis import DependenceTests, analyse_residual, find_causes
-from swarmtwin.diagnosis.result import Cause, DiagnosedSession, DiagnosisResult, Extension
+from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.recordings.recording import Recording
+from swarmtwin.simulation.mechanism import Mechanism, offered
+from swarmtwin.simulation.mechanisms import noise_change
+from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.simulation import Simulation
 
 
@@ -44,54 +52,52 @@ def diagnose(
     # 1. Reference and residual
     session, believable, set_aside = reference.comparable(measured)
     held_out = session.run % settings.held_out_every == settings.held_out_every - 1
-    model = LikelihoodModel.of_measured(reference, session.where(~held_out))
-    reference_model = LikelihoodModel.of_reference(reference)
+    model = reference.likelihood_of(session.where(~held_out))
 
     # 2. Dependence
     _tell(progress, "tests")
-    tests = DependenceTests(reference, model, reference_model, seed)
-    dependences = tests.run(model.evaluate([]))
+    tests = DependenceTests(reference, model, seed)
+    dependences = tests.run(model, model.evaluate([]))
 
     # 3. Causes
-    causes = find_causes(reference, model, reference_model, progress)
-    _tell(progress, "what is left")
-    analysis = analyse_residual(model, reference_model, causes, dependences, tests, rng)
+    explained = explanation(model, find_causes(reference, model, progress))
 
     # 4. Finding
+    _tell(progress, "what is left")
+    after = tests.run(explained.model, explained.best.fitted) if explained.best.names else dependences
     simulation = Simulation(reference.base, (), session.conditions)
-    extended = None
-    if analysis.mechanisms or analysis.extension_residual:
-        extended = Simulation(reference.base, analysis.mechanisms, session.conditions, analysis.extension_residual)
+    extended = _extended(reference, simulation, explained, seed)
     transitions = session.transitions
     scored = transitions.where(held_out)
     tracks = scored_tracks(measured, believable, scored)
     errors = Errors.of(simulation, scored, tracks)
     extended_errors = Errors.of(extended, scored, tracks) if extended else errors
-    plan, drive = next_recording(reference, model, analysis, seed)
+    plan, drive = next_recording(reference, explained, seed)
     gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
     objection = None
     if extended:
-        unfitted = LikelihoodModel.of_measured(reference, session.where(held_out))
+        unfitted = reference.likelihood_of(session.where(held_out))
         likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
         objection = not_confirmed(gain, likelihood)
-    named = reported_causes(model, analysis, rng)
+    named = reported_causes(explained, rng)
     result = DiagnosisResult(
-        verdict="unexplained" if objection else analysis.verdict,
+        verdict="unexplained" if objection else explained.verdict,
         causes=() if objection else named,
-        depends_on=tuple(test.part for test in analysis.before if test.found),
+        depends_on=tuple(test.part for test in dependences if test.found) if explained.verdict != "no_gap" else (),
         gain=gain,
-        next_recording=plan,
-        left_over=analysis.left_over,
-        tests=tuple(analysis.before),
+        next_recording=None if objection else plan,
+        left_over=tuple(test.part for test in after if test.found) if explained.is_something_left else (),
+        tests=tuple(dependences),
         robot=reference.robot.name,
         vehicles=tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle)),
         runs={"fitted": model.session.runs, "held_out": len(np.unique(scored.run))},
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
+        detection_limits=detection_limits(explained),
         seed=seed,
     )
-    whole = LikelihoodModel(reference.base, reference.noise, session, settings=reference.settings)
+    whole = reference.likelihood_of(session).explained_by(explained.best.mechanisms)
     residual = whole.evaluate([]).residual
     return DiagnosedSession(
         result=result,
@@ -105,6 +111,89 @@ def diagnose(
         runs_after=extended_errors.open_loop,
         next_drive=drive,
     )
+
+
+class DependenceTests:
+    """Tests of a session's residuals, with any causes taken into account, against the reference's own.
+
+    Args:
+        reference: the reference.
+        model: of the session.
+        seed: of the draws, the same for every test.
+    """
+
+    def __init__(self, reference: Reference, model: SessionLikelihood, seed: int) -> None:
+        self._seed, self._discrepancy = seed, reference.discrepancy is not None
+        neighbours = reference.settings.reference.overlap_neighbours
+        weight = model.session.covariate_overlap(reference.session, neighbours)
+        own = reference.own_likelihood
+        self._of_reference = StandardisedResidual.of(own, own.evaluate([]), weight)
+
+    def run(self, model: SessionLikelihood, fitted: FittedMechanisms) -> list[Dependence]:
+        """Test what fitted mechanisms leave of a session."""
+        left = StandardisedResidual.of(model, fitted)
+        return dependence_tests(left, self._of_reference, self._seed, model.settings.dependence, self._discrepancy)
+
+
+def find_causes(reference: Reference, model: SessionLikelihood, progress: Progress | None) -> CausePosterior:
+    """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
+    found = offered(model.robot, model.session.conditions)
+    kinds = {name: kind for name, kind in found.items() if kind.noise_factor is Mechanism.noise_factor}
+    session = model.session
+    every = -(-len(session) // reference.settings.search.most_transitions)
+    part = model if every <= 1 else reference.likelihood_of(session.where(session.run % every == 0))
+    return CauseSearch(part, kinds, progress).run()
+
+
+def _extended(reference: Reference, simulation: Simulation, explained: Explanation, seed: int) -> Simulation | None:
+    """Return the simulation with what was found, mechanisms or a learned residual; None where nothing is wrong."""
+    if explained.verdict == "no_gap":
+        return None
+    mechanisms = _with_own_unit(reference, explained) if explained.mechanisms else ()
+    if explained.names_motion_noise:
+        mechanisms = (*mechanisms, noise_change.Config(factor=explained.motion_noise.factor))
+    residual = None
+    if explained.is_something_left:
+        model, session = explained.model, explained.model.session
+        mechanisms = explained.best.mechanisms if explained.share >= 0.5 else ()
+        given = session.situation
+        assert given.previous_command is not None
+        residual, _ = ResidualModel.learn(
+            model.predictor.moment(),
+            given.command,
+            given.previous_command,
+            session.run,
+            session.residual_of(model.predictor.most_likely_twist(mechanisms)),
+            torch.as_tensor(model.noise.spread(model.motion)),
+            seed,
+        )
+    return Simulation(simulation.dynamics, mechanisms, simulation.conditions, residual)
+
+
+def _with_own_unit(reference: Reference, explained: Explanation) -> tuple[Mechanism, ...]:
+    """Return the causes, and beside them what is a vehicle's own by fabrication, where the reference does not know it.
+
+    That is no cause, but without it the extended simulation would be one of another vehicle.
+    """
+    model, named = explained.model, explained.mechanisms
+    if len(model.strange) != 1 or len(model.session.transitions.vehicles) != 1:
+        return named
+    known = {one.name for one in named}
+    kinds = {name: kind for name, kind in offered(model.robot, model.session.conditions).items() if name not in known}
+    own = [
+        kinds[name].at(_doing_nothing(kinds[name], model))
+        for name in ("gain_change", "actuator_asymmetry")
+        if name in kinds
+    ]
+    alone = SessionLikelihood(
+        reference.base, reference.noise, model.session, (), 0.0, reference.discrepancy, reference.settings
+    )
+    return estimate(alone, [*named, *own]).mechanisms
+
+
+def _doing_nothing(kind: type[Mechanism], model: SessionLikelihood) -> dict[str, float]:
+    parameters = kind.parameters_of(model.robot, model.session.conditions)
+    return {name: one.null_value for name, one in parameters.items() if one.null_value is not None}
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:
@@ -126,10 +215,10 @@ def _extension(extended: Simulation | None) -> Extension:
     return "mechanisms_and_learned_residual" if extended.mechanisms else "learned_residual"
 
 
-def _residual_of(extended: Simulation, model: LikelihoodModel) -> np.ndarray:
+def _residual_of(extended: Simulation, model: SessionLikelihood) -> np.ndarray:
     """Return (N, 3) the standardised residuals of an extended simulation."""
     if extended.residual is None:
-        return model.evaluate(extended.mechanisms).residual
+        return model.evaluate(extended.mechanisms, model.effects).residual
     twist = model.predictor.most_likely_twist(extended.mechanisms, extended.residual)
-    whitened: np.ndarray = model.whitener(model.session.residual_of(twist)).numpy()
+    whitened: np.ndarray = model.filter(model.errors_of(twist)[..., None])[..., 0]
     return whitened

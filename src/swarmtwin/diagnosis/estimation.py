@@ -1,222 +1,240 @@
-"""Step 3, its tool: the likeliest parameters of mechanisms, and what another mechanism may gain beside them."""
+"""Step 3, its tool: the likeliest parameters of a set of mechanisms, how sure they are, and the evidence for it."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, LikelihoodModel, MechanismClass, loses_commands
-from swarmtwin.geometry import compose, exp_map
-from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Parameter
-from swarmtwin.simulation.mechanisms import gain_change
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.random_effects import RandomEffects
+from swarmtwin.simulation.mechanism import Mechanism
 
 
-def estimate(model: LikelihoodModel, mechanisms: Sequence[Mechanism]) -> FittedMechanisms:
-    """Return the likeliest values of all parameters, searched from those that `mechanisms` have."""
-    kinds = [type(mechanism) for mechanism in mechanisms]
-    start = model.values(mechanisms)
-    if not len(start):
-        return model.evaluate(mechanisms)
-    by_likelihood = loses_commands(kinds)
-    found = _by_likelihood(model, kinds, start) if by_likelihood else _by_least_squares(model, kinds, start)
-    best = model.evaluate(model.assembled(kinds, found))
-    return best if all(kind.is_smooth for kind in kinds) else _polished(model, kinds, best)
-
-
-def _bounds(model: LikelihoodModel, kinds: Sequence[MechanismClass]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the lower and upper bounds and the steps (P,) of all parameters."""
-    parameters = [parameter for _, _, parameter in model.parameters(kinds)]
-    low, high = (np.array([getattr(one, end) for one in parameters]) for end in ("low", "high"))
-    return low, high, np.array([one.response_step for one in parameters])
-
-
-def _by_least_squares(model: LikelihoodModel, kinds: Sequence[MechanismClass], start: np.ndarray) -> np.ndarray:
-    """Search by robust least squares in rounds; each weighs the residuals' axes by their spread at its start."""
-    low, high, step = _bounds(model, kinds)
-    margin = 1e-6 * (high - low)  # strictly inside, as scipy's trust region asks
-    found = start
-    for evaluations in model.settings.estimation.evaluations:
-        found = np.clip(found, low + margin, high - margin)
-        scale = model.scale(model.residual(model.assembled(kinds, found)))
-
-        def residuals(values: np.ndarray, scale: np.ndarray = scale) -> np.ndarray:
-            return (model.residual(model.assembled(kinds, values)) / scale).ravel()
-
-        def slopes(values: np.ndarray, scale: np.ndarray = scale) -> np.ndarray:
-            one_sided = _one_sided_jacobian(model, kinds, values)
-            return one_sided.reshape(-1, len(values)) / np.tile(scale, len(model.session))[:, None]
-
-        found = optimize.least_squares(
-            residuals,
-            found,
-            slopes,
-            (low, high),
-            x_scale=step,
-            loss="huber",
-            f_scale=model.settings.estimation.huber_z,
-            max_nfev=evaluations,
-            xtol=1e-4,
-            ftol=1e-6,
-        ).x
-    return found
-
-
-def _by_likelihood(model: LikelihoodModel, kinds: Sequence[MechanismClass], start: np.ndarray) -> np.ndarray:
-    """Search the likelihood itself, where several outcomes make it a mixture."""
-    low, high, step = _bounds(model, kinds)
-
-    def loss(scaled: np.ndarray) -> float:
-        return -model.evaluate(model.assembled(kinds, np.clip(scaled * step, low, high))).total
-
-    found = optimize.minimize(
-        loss,
-        start / step,
-        method="L-BFGS-B",
-        bounds=list(zip(low / step, high / step, strict=True)),
-        options={"eps": 0.1, "maxiter": 12, "ftol": 1e-9},
-    )
-    return np.clip(found.x * step, low, high)
-
-
-def _polished(model: LikelihoodModel, kinds: Sequence[MechanismClass], fitted: FittedMechanisms) -> FittedMechanisms:
-    """Search a little around values where the motion changes by jumps."""
-    low, high, step = _bounds(model, kinds)
-    start = model.values(fitted.mechanisms)
-
-    def loss(scaled: np.ndarray) -> float:
-        values = start + scaled * step
-        if np.any(values < low) or np.any(values > high):
-            return np.inf
-        return -model.evaluate(model.assembled(kinds, values)).total
-
-    simplex = np.concatenate([np.zeros((1, len(start))), np.eye(len(start)) * 1.5])
-    found = optimize.minimize(
-        loss,
-        np.zeros(len(start)),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": simplex,
-            "maxfev": model.settings.estimation.most_polishing,
-            "xatol": 0.02,
-            "fatol": 0.05,
-        },
-    )
-    polished = model.evaluate(model.assembled(kinds, np.clip(start + found.x * step, low, high)))
-    return polished if polished.total > fitted.total else fitted
-
-
-def _one_sided_jacobian(model: LikelihoodModel, kinds: Sequence[MechanismClass], values: np.ndarray) -> np.ndarray:
-    """Return (N, 3, P) as `jacobian` does, by differences to one side: half the work, enough for a search."""
-    _, high, step = _bounds(model, kinds)
-    here = model.residual(model.assembled(kinds, values))
-    columns = []
-    for index in range(len(values)):
-        moved = values.copy()
-        moved[index] += step[index] if values[index] + step[index] <= high[index] else -step[index]
-        there = model.residual(model.assembled(kinds, moved))
-        columns.append((there - here) / (moved[index] - values[index]))
-    return np.stack(columns, axis=-1)
-
-
-def jacobian(model: LikelihoodModel, kinds: Sequence[MechanismClass], values: np.ndarray) -> np.ndarray:
-    """Return (N, 3, P) how standardised residuals change with the parameters, by central differences."""
-    return _central_differences(model, kinds, values, model.residual)
-
-
-def scores(model: LikelihoodModel, kinds: Sequence[MechanismClass], values: np.ndarray) -> np.ndarray:
-    """Return (N, P) how the log-likelihood of each transition changes with the parameters, by central differences."""
-    return _central_differences(model, kinds, values, lambda mechanisms: model.evaluate(mechanisms).log_likelihood)
-
-
-def _central_differences(
-    model: LikelihoodModel,
-    kinds: Sequence[MechanismClass],
-    values: np.ndarray,
-    function: Callable[[list[Mechanism]], np.ndarray],
-) -> np.ndarray:
-    """Return how a function (N, ...) of mechanisms changes with their parameters, (N, ..., P)."""
-    low, high, step = _bounds(model, kinds)
-    columns = []
-    for index in range(len(values)):
-        ends = []
-        for sign in (1.0, -1.0):
-            moved = values.copy()
-            moved[index] = np.clip(moved[index] + sign * step[index], low[index], high[index])
-            ends.append((moved[index], function(model.assembled(kinds, moved))))
-        (ahead, first), (back, second) = ends
-        columns.append((first - second) / max(ahead - back, 1e-12))
-    return np.stack(columns, axis=-1)
-
-
-class GainEstimate(NamedTuple):
-    """What a mechanism beside others may gain.
+@dataclass(frozen=True)
+class EstimatedSet:
+    """A set of mechanisms, fitted to a session.
 
     Attributes:
-        nats: estimated gain of log-likelihood.
-        start: the other mechanisms and the new one, where a search begins.
-        change: (3 N,) what it would change of the standardised residuals.
+        fitted: with the likeliest values.
+        values: (P,) these.
+        information: (P, P) curvature of the log posterior, random effects and forms integrated out.
+        by_run: (R, P) what each run would move the values by.
+        naive: (P, P) their covariance if runs were as independent as the likelihood has it, and nothing else unknown.
+        evidence: log marginal likelihood, nats: parameters integrated out by Laplace's method, prior uniform in bounds.
     """
 
-    nats: float
-    start: tuple[Mechanism, ...]
-    change: np.ndarray
+    fitted: FittedMechanisms
+    values: np.ndarray
+    information: np.ndarray
+    by_run: np.ndarray
+    naive: np.ndarray
+    evidence: float
+
+    @property
+    def mechanisms(self) -> tuple[Mechanism, ...]:
+        """The mechanisms with their values."""
+        return self.fitted.mechanisms
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Their names."""
+        return self.fitted.names
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance (P, P); wider where runs differ more than the likelihood expects (a sandwich)."""
+        posterior = np.linalg.inv(self.information)
+        runs = len(self.by_run)
+        if runs < 2 or not len(self.values):
+            return posterior
+        clustered = self.by_run.T @ self.by_run * (runs / (runs - 1))
+        wider = np.sqrt(np.maximum(np.diag(clustered) / np.maximum(np.diag(self.naive), 1e-300), 1.0))
+        covariance: np.ndarray = posterior * np.outer(wider, wider)
+        return covariance
+
+    def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Draw (count, P) values from the posterior."""
+        if not len(self.values):
+            return np.zeros((count, 0))
+        return rng.multivariate_normal(self.values, self.covariance, count, method="eigh")
 
 
-def gain_estimate(
-    model: LikelihoodModel, beside: FittedMechanisms, kind: MechanismClass, traction: LocalTractionScore
-) -> GainEstimate:
-    """Estimate by one linear step what a mechanism beside others would gain, from the best place to begin.
+def estimate(model: SessionLikelihood, start: Sequence[Mechanism], polish: bool = False) -> EstimatedSet:
+    """Return a set of mechanisms with its likeliest values, searched from those that `start` has.
 
     Args:
         model: of the session.
-        beside: the mechanisms that are there already.
-        kind: the mechanism.
-        traction: `local_traction_score` beside them.
+        start: the mechanisms.
+        polish: whether to search a little around the end where the motion changes by jumps.
     """
-    parameters = kind.parameters_of(model.robot, model.session.conditions)
-    held = _held(model, beside).ravel()
-    best = GainEstimate(-np.inf, beside.mechanisms, np.zeros_like(held))
-    for start in kind.initial_points(model.robot, model.session.conditions, traction):
-        begun = {**model.read_off_clock(kind), **start}
-        moved = [
-            {name: _off_null(parameter, start[name])}
-            for name, parameter in parameters.items()
-            if parameter.null_value is not None
-        ]
-        gained, responses = 0.0, []
-        for values in moved or [{}]:
-            ahead = model.evaluate([*beside.mechanisms, kind.at({**begun, **values})])
-            gained = max(gained, ahead.total - beside.total)
-            responses.append(((ahead.residual - beside.residual) / beside.residual_scale).ravel())
-        stacked = np.stack(responses, axis=-1)
-        solution, *_ = np.linalg.lstsq(stacked, -held, rcond=None)
-        change = stacked @ solution
-        gained = max(gained, float(-held @ change) / 2)
-        if gained > best.nats:
-            best = GainEstimate(gained, (*beside.mechanisms, kind.at(begun)), change)
-    return best
+    kinds = [type(mechanism) for mechanism in start]
+    search = _Search(model, kinds)
+    values = search.clipped(model.values(start))
+    if loses_commands(kinds):
+        values = search.by_likelihood(values)
+    elif len(values):
+        values = search.by_least_squares(values)
+        if polish and not all(kind.is_smooth for kind in kinds):
+            values = search.polished(values)
+    return search.estimated(values)
 
 
-def local_traction_score(model: LikelihoodModel, fitted: FittedMechanisms) -> LocalTractionScore:
-    """Return where the traction seems to be another one than fitted mechanisms say."""
-    step = model.settings.estimation.traction_step
-    weaker = [*fitted.mechanisms, gain_change.Config.at({"gain": 1 - step})]
-    response = (model.residual(weaker) - fitted.residual) / step / fitted.residual_scale
-    session = model.session
-    middle = compose(model.predictor.moment().pose, exp_map(session.twist / 2))[:, :2].numpy()
-    return LocalTractionScore(middle, -(_held(model, fitted) * response).sum(axis=1), (response**2).sum(axis=1))
+class _Search:
+    """The parameters of kinds of mechanisms, and what a session says of them."""
+
+    def __init__(self, model: SessionLikelihood, kinds: Sequence[MechanismClass]) -> None:
+        self.model, self.kinds, self.settings = model, kinds, model.settings.estimation
+        parameters = [parameter for _, _, parameter in model.parameters(kinds)]
+        self.low, self.high = (np.array([getattr(one, end) for one in parameters], float) for end in ("low", "high"))
+        self.step = np.array([one.response_step for one in parameters], float)
+        self.prior_precision = np.diag(12 / np.maximum(self.high - self.low, 1e-12) ** 2)
+
+    def at(self, values: np.ndarray) -> list[Mechanism]:
+        """Return the mechanisms with values (P,)."""
+        return self.model.assembled(self.kinds, values)
+
+    def clipped(self, values: np.ndarray) -> np.ndarray:
+        """Return values (P,) within the bounds."""
+        return np.clip(values, self.low, self.high) if len(values) else values
+
+    def whitened(self, values: np.ndarray) -> np.ndarray:
+        """Return whitened errors (3 N,)."""
+        return self.model.whitened(self.at(values)).ravel()
+
+    def slopes(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
+        """Return (3 N, P) how whitened errors change with the parameters."""
+        columns = []
+        for index in range(len(values)):
+            moved = values.copy()
+            inside = values[index] + self.step[index] <= self.high[index]
+            moved[index] += self.step[index] if inside else -self.step[index]
+            columns.append((self.whitened(moved) - here) / (moved[index] - values[index]))
+        return np.stack(columns, axis=-1)
+
+    def by_least_squares(self, values: np.ndarray) -> np.ndarray:
+        """Search by Gauss and Newton's method, random effects integrated out."""
+        values = self._descended(values, self.model.effects)
+        return self._descended(values, self.model.effects_with(self.at(values)))
+
+    def _descended(self, values: np.ndarray, effects: RandomEffects, enough: float = 0.05) -> np.ndarray:
+        """Return values (P,) after some steps downhill, fewer where one is `enough` standard deviations or less."""
+        for _ in range(self.settings.rounds):
+            here = self.whitened(values)
+            slopes = self.slopes(values, here)
+            precision = effects.inner(slopes, slopes) + self.prior_precision
+            downhill = -effects.inner(slopes, here[:, None])[:, 0]
+            moved = self._bounded_step(values, precision, downhill)
+            loss = self._loss(effects, here)
+            for _ in range(4):
+                if self._loss(effects, self.whitened(moved)) <= loss:
+                    break
+                moved = (moved + values) / 2
+            else:
+                return values
+            shift = np.abs(moved - values) * np.sqrt(np.diag(precision))
+            values = moved
+            if shift.max() < enough:
+                break
+        return values
+
+    def _bounded_step(self, values: np.ndarray, precision: np.ndarray, downhill: np.ndarray) -> np.ndarray:
+        """Return values after a step to the minimum of a quadratic within the bounds."""
+        free = np.ones(len(values), bool)
+        for _ in range(len(values)):
+            step = np.zeros(len(values))
+            step[free] = np.linalg.solve(precision[np.ix_(free, free)], downhill[free])
+            outside = free & ((values + step < self.low - 1e-12) | (values + step > self.high + 1e-12))
+            stuck = outside & (((values <= self.low) & (step < 0)) | ((values >= self.high) & (step > 0)))
+            if not stuck.any():
+                return self.clipped(values + step)
+            free &= ~stuck
+            if not free.any():
+                return values
+        return self.clipped(values)
+
+    @staticmethod
+    def _loss(effects: RandomEffects, whitened: np.ndarray) -> float:
+        return float(effects.inner(whitened[:, None], whitened[:, None])[0, 0])
+
+    def _total(self, values: np.ndarray) -> float:
+        return self.model.evaluate(self.at(values)).total
+
+    def by_likelihood(self, values: np.ndarray) -> np.ndarray:
+        """Search the likelihood itself, where which commands arrived is summed over."""
+        found = optimize.minimize(
+            lambda scaled: -self._total(self.clipped(scaled * self.step)),
+            values / self.step,
+            method="L-BFGS-B",
+            bounds=list(zip(self.low / self.step, self.high / self.step, strict=True)),
+            options={"eps": 0.1, "maxiter": self.settings.likelihood_rounds, "ftol": 1e-8},
+        )
+        return self.clipped(found.x * self.step)
+
+    def polished(self, values: np.ndarray) -> np.ndarray:
+        """Search a little around values where the motion changes by jumps."""
+        effects = self.model.effects_with(self.at(values))
+
+        def loss(scaled: np.ndarray) -> float:
+            moved = values + scaled * self.step
+            if np.any(moved < self.low) or np.any(moved > self.high):
+                return np.inf
+            return self._loss(effects, self.whitened(moved))
+
+        simplex = np.concatenate([np.zeros((1, len(values))), np.eye(len(values)) * 1.5])
+        options = {
+            "initial_simplex": simplex,
+            "maxfev": self.settings.most_polishing,
+            "xatol": 0.02,
+            "fatol": 0.1,
+        }
+        found = optimize.minimize(loss, np.zeros(len(values)), method="Nelder-Mead", options=options)
+        return self.clipped(values + found.x * self.step)
+
+    def estimated(self, values: np.ndarray) -> EstimatedSet:
+        """Return the set at its likeliest values, with its evidence."""
+        mechanisms = self.at(values)
+        lossy = loses_commands(self.kinds)
+        effects = self.model.effects if lossy else self.model.effects_with(mechanisms)
+        fitted = self.model.evaluate(mechanisms, effects)
+        evidence = fitted.total - effects.log_determinant / 2
+        runs = self.model.session.runs
+        if not len(values):
+            nothing = np.zeros((0, 0))
+            return EstimatedSet(fitted, values, nothing, np.zeros((runs, 0)), nothing, evidence)
+        if lossy:
+            curvature, scores = self._curvature(values)
+            information, naive = curvature, np.linalg.inv(curvature)
+        else:
+            slopes = self.slopes(values, fitted.whitened.ravel())
+            wide = np.tile(fitted.scale, len(fitted.residual))
+            scaled = slopes / wide[:, None]
+            curvature = effects.inner(scaled, scaled) + self.prior_precision
+            information = self.model.effects_with_any_form(mechanisms).inner(scaled, scaled) + self.prior_precision
+            scores = -(scaled * (effects.weight * fitted.residual.ravel() / wide)[:, None])
+            scores = scores.reshape(-1, 3, len(values)).sum(axis=1)
+            naive = np.linalg.inv((scaled * effects.weight[:, None]).T @ scaled + self.prior_precision)
+        by_run = self.model.session.by_run(scores) @ naive
+        evidence -= float(np.log(np.maximum(self.high - self.low, 1e-12)).sum())
+        evidence += len(values) * np.log(2 * np.pi) / 2 - float(np.linalg.slogdet(curvature)[1]) / 2
+        return EstimatedSet(fitted, values, information, by_run, naive, evidence)
+
+    def _curvature(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the curvature (P, P) of the log-likelihood by its scores (N, P), and these."""
+        scores = np.stack([self._slope(values, index) for index in range(len(values))], axis=-1)
+        return scores.T @ scores + self.prior_precision, scores
+
+    def _slope(self, values: np.ndarray, index: int) -> np.ndarray:
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = values.copy()
+            moved[index] += sign * self.step[index]
+            moved = self.clipped(moved)
+            ends.append((moved[index], self.model.evaluate(self.at(moved)).log_likelihood))
+        (ahead, first), (back, second) = ends
+        slope: np.ndarray = (first - second) / max(ahead - back, 1e-12)
+        return slope
 
 
-def _held(model: LikelihoodModel, fitted: FittedMechanisms) -> np.ndarray:
-    """Return residuals (N, 3) in units of their own spread, clipped as Huber's loss lets them pull."""
-    huber_z = model.settings.estimation.huber_z
-    return np.clip(fitted.residual / fitted.residual_scale, -huber_z, huber_z)
-
-
-def _off_null(parameter: Parameter, value: float) -> float:
-    """Return a value of a parameter away from where it does nothing."""
-    if value != parameter.null_value:
-        return value
-    step = 3 * parameter.response_step
-    return value + step if value + step <= parameter.high else value - step
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and of how much."""

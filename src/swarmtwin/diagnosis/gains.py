@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.recordings.recording import Recording, Track
@@ -80,7 +80,7 @@ def gains(before: Errors, after: Errors, run: np.ndarray, draws: int, rng: np.ra
     )
 
 
-def likelihood_gain(unfitted: LikelihoodModel, extended: Simulation, draws: int, rng: np.random.Generator) -> Gain:
+def likelihood_gain(unfitted: SessionLikelihood, extended: Simulation, draws: int, rng: np.random.Generator) -> Gain:
     """Compare how unlikely a held-out transition is without and with mechanisms: negative log-likelihood, nats."""
     before, after = (-unfitted.evaluate(mechanisms).log_likelihood for mechanisms in ((), extended.mechanisms))
     return _gain(before, after, unfitted.session.run, draws, rng)

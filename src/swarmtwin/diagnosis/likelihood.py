@@ -1,20 +1,24 @@
-"""Step 3, its ground: how likely a measured session is, given the simulation, its noise and mechanisms."""
+"""Step 3, its ground: how likely a measured session is, given the simulation, its noise and mechanisms.
+
+The errors of a session are whitened once, since the noise depends on how vehicles really moved and not on what is said
+to be the cause. What nobody knows exactly, and is no gap, is integrated out as normal random effects: what the
+reference leaves open of the simulation, how units differ, smooth discrepancies, and for each mechanism its form.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from functools import cached_property
 
 import numpy as np
-import torch
-from scipy import stats
-from torch import Tensor
 
+from swarmtwin.diagnosis.discrepancy import Discrepancy
+from swarmtwin.diagnosis.lost_commands import LostCommands, likeliest_errors
 from swarmtwin.diagnosis.measured_session import MeasuredSession
-from swarmtwin.diagnosis.noise import Noise
-from swarmtwin.diagnosis.one_step import OneStepPredictor, Outcome
-from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.noise import Noise, log_density
+from swarmtwin.diagnosis.random_effects import RandomEffects, form_effects, simulation_effects, unit_effects
+from swarmtwin.diagnosis.session_errors import SessionErrors
+from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.diagnosis.settings import DiagnosisSettings
-from swarmtwin.diagnosis.unit_spread import UnitDifferences
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
@@ -26,21 +30,29 @@ class FittedMechanisms:
     """Mechanisms with values, and how likely they make a session of N transitions.
 
     Attributes:
-        mechanisms: with their values, in the order in which they were found.
-        log_likelihood: (N,) of each transition, nats.
-        residual: (N, 3) standardised residuals, those of the likeliest outcome.
-        residual_scale: (3,) how much wider they spread than the reference's.
+        mechanisms: with their values.
+        log_likelihood: (N,) of each transition, nats, random effects at their likeliest.
+        whitened: (N, 3) errors, independent and of unit variance where nothing is wrong.
+        residual: (N, 3) the same, freed of random effects.
+        scale: (3,) how much wider these spread than the reference's.
+        penalty: nats that the random effects' size costs.
+        effect_errors: (N, 3) what random effects make of the errors.
+        is_lost: (N,) transitions in which a command seems to have been lost, now or before.
     """
 
     mechanisms: tuple[Mechanism, ...]
     log_likelihood: np.ndarray
+    whitened: np.ndarray
     residual: np.ndarray
-    residual_scale: np.ndarray
+    scale: np.ndarray
+    penalty: float
+    effect_errors: np.ndarray
+    is_lost: np.ndarray
 
     @property
     def total(self) -> float:
-        """Log-likelihood of the whole session, nats."""
-        return float(self.log_likelihood.sum())
+        """Log-likelihood of the whole session, nats, random effects at their likeliest."""
+        return float(self.log_likelihood.sum()) - self.penalty
 
     @property
     def kinds(self) -> tuple[MechanismClass, ...]:
@@ -53,16 +65,18 @@ class FittedMechanisms:
         return tuple(mechanism.name for mechanism in self.mechanisms)
 
 
-class LikelihoodModel:
+class SessionLikelihood(SessionErrors):
     """A session, the simulation and its noise: says how likely what was measured is, given mechanisms.
 
     Args:
         base: the simulation.
-        noise: of residuals that it was not fitted to.
+        noise: of errors that it was not fitted to.
         session: of N transitions.
         known_vehicles: ids of the vehicles that the simulation was learned from; empty: all of the session.
         unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
+        discrepancy: what the simulation gets wrong of its own reference as well; None: nothing is known of that.
         settings: of the diagnosis; None: the defaults.
+        explained: mechanisms that are known to be there, so that the noise is that of what they leave.
     """
 
     def __init__(
@@ -72,109 +86,142 @@ class LikelihoodModel:
         session: MeasuredSession,
         known_vehicles: tuple[str, ...] = (),
         unit_spread: float | None = None,
+        discrepancy: Discrepancy | None = None,
         settings: DiagnosisSettings | None = None,
+        explained: Sequence[Mechanism] = (),
     ) -> None:
-        self.session, self.noise, self.robot = session, noise, base.robot
-        self.settings = settings or DiagnosisSettings()
-        self.members: int = getattr(base, "members", 0)
-        self.predictor = OneStepPredictor(base, session.conditions, session.situation)
-        self.simulated = self.predictor.simulated()
-        self.whitener = noise.whitener(self.simulated, session)
-        vehicles = known_vehicles or session.transitions.vehicles
-        spread = self.settings.units.spread if unit_spread is None else unit_spread
-        self.units = UnitDifferences(self.predictor, self.whitener, session, self.simulated, vehicles, spread)
-        self._log_volume = -self.whitener.residual_scale.log().sum(dim=-1).numpy()
+        super().__init__(base, noise, session, known_vehicles, unit_spread, settings, explained)
+        self._discrepancy = discrepancy
 
-    @classmethod
-    def of_measured(cls, reference: Reference, session: MeasuredSession) -> Self:
-        """Compare a measured session with a reference."""
-        return cls(
-            reference.base,
-            reference.noise,
-            session,
-            reference.vehicles,
-            reference.unit_spread,
-            reference.settings,
-        )
+    @cached_property
+    def discrepancy(self) -> tuple[np.ndarray, np.ndarray]:
+        """Errors (N, 3) of the simulation that are expected, and directions (N, 3, q) of their uncertainty."""
+        if self._discrepancy is None:
+            count = len(self.session)
+            return np.zeros((count, 3)), np.zeros((count, 3, 0))
+        return self._discrepancy.expected(self)
 
-    @classmethod
-    def of_reference(cls, reference: Reference) -> Self:
-        """Compare the reference's own transitions with what has not seen them."""
-        return cls(reference.cross_fitted, reference.noise, reference.session, settings=reference.settings)
+    @cached_property
+    def correction(self) -> np.ndarray:
+        """(N, 3) errors that the simulation is known to make, of its own reference as well."""
+        return self.discrepancy[0]
 
-    def outcomes(self, mechanisms: Sequence[Mechanism], member: int | None = None) -> list[Outcome]:
-        """Predict the session's measured twists, with one member of the simulation in the place of their mean if asked.
+    def errors_left(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return the errors (N, 3) that mechanisms leave, of the likeliest course where commands may be lost."""
+        lossy = arrival_probability(mechanisms) < 1.0
+        return likeliest_errors(self, mechanisms) if lossy else self.errors(mechanisms)
 
-        Several outcomes result where commands may be lost.
+    @cached_property
+    def effects(self) -> RandomEffects:
+        """Random effects without any mechanism."""
+        columns = [*simulation_effects(self), *unit_effects(self)]
+        together = np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
+        return RandomEffects.of(np.concatenate([together, self.discrepancy[1]], axis=-1), self.filter, self.weight)
+
+    def whitened(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return the errors (N, 3) with mechanisms, independent and of unit variance, where every command arrives."""
+        return self.filter(self.errors(mechanisms)[..., None])[..., 0]
+
+    def effects_with(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
+        """Return the random effects, and those of the form of mechanisms.
+
+        What looks like another value of a parameter is no other form: forms are orthogonal to what parameters change,
+        so that a parameter is the one that fits best (Plumlee, 2017).
         """
-        predictor = self.predictor if member is None else self.predictor.with_member(member)
-        return predictor.outcomes(mechanisms)
+        forms = self._forms(mechanisms)
+        if not forms.shape[-1]:
+            return self.effects
+        slopes = self._error_slopes(mechanisms)
+        weight = np.repeat(self.weight, 3)[:, None]
+        along, across = (self.filter(one).reshape(3 * len(one), one.shape[-1]) for one in (slopes, forms))
+        share = np.linalg.lstsq((along * weight).T @ along, (along * weight).T @ across, rcond=1e-10)[0]
+        return self.effects.extended(forms - slopes @ share, self.filter)
 
-    def likeliest_twist(self, mechanisms: Sequence[Mechanism], member: int | None = None) -> Tensor:
-        """Return the twists (N, 3) of the likeliest outcome."""
-        return max(self.outcomes(mechanisms, member), key=lambda one: one.probability).twist
+    def effects_with_any_form(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
+        """Return the random effects with forms that may look like another value of a parameter: for its interval."""
+        forms = self._forms(mechanisms)
+        return self.effects.extended(forms, self.filter) if forms.shape[-1] else self.effects
 
-    def simulated_by(self, member: int) -> Tensor:
-        """Return the twists (N, 3) that one member of the simulation answers, without mechanisms."""
-        return self.predictor.with_member(member).simulated()
+    def _forms(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return (N, 3, q) what other forms of mechanisms would change."""
+        columns = list(form_effects(self, mechanisms)) if mechanisms else []
+        return np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
 
-    def residual(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
-        """Return standardised residuals (N, 3), those of the likeliest outcome, freed of differences between units."""
-        found = self.outcomes(mechanisms)
-        _, whitened = self._likeliest(found, [self.session.residual_of(one.twist) for one in found])
-        return self.units.free(whitened.numpy())[0]
+    def _error_slopes(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return (N, 3, P) how errors change with the parameters of mechanisms, by differences to one side."""
+        kinds = [type(one) for one in mechanisms]
+        values, here = self.values(mechanisms), self.errors(mechanisms)
+        columns = []
+        for index, (_, _, parameter) in enumerate(self.parameters(kinds)):
+            moved = values.copy()
+            step = parameter.response_step
+            moved[index] += step if values[index] + step <= parameter.high else -step
+            change = self.errors(self.assembled(kinds, moved)) - here
+            columns.append(change / (moved[index] - values[index]))
+        return np.stack(columns, axis=-1) if columns else np.zeros((*here.shape, 0))
 
-    def evaluate(self, mechanisms: Sequence[Mechanism]) -> FittedMechanisms:
+    def evaluate(self, mechanisms: Sequence[Mechanism], effects: RandomEffects | None = None) -> FittedMechanisms:
         """Return how likely the session is with mechanisms as they are."""
-        found = self.outcomes(mechanisms)
-        raw = [self.session.residual_of(one.twist) for one in found]
-        earlier, whole = self._likeliest(found, raw)
-        best, price = self.units.free(whole.numpy())
-        by_units = best - whole.numpy()
-        outlier_z = self.settings.estimation.outlier_z
-        scale = self.scale(best if len(found) == 1 else np.clip(best, -outlier_z, outlier_z))
-        if len(found) == 1:
-            density = self._log_density(best / scale)
+        effects = effects or self.effects
+        arrives = arrival_probability(mechanisms)
+        freedom, volume = self.noise.degrees_of_freedom, self.filter.log_volume
+        is_lost = np.zeros(len(self.session), bool)
+        if arrives >= 1.0:
+            whitened = self.whitened(mechanisms)
+            sizes = effects.sizes(whitened)
+            residual = whitened - effects.of_sizes(sizes)
+            scale = self._scale(residual)
+            density = log_density(residual / scale, freedom)
         else:
-            whitened = [(self.whitener(one, earlier).numpy() + by_units) / scale for one in raw]
-            logs = [
-                np.log(max(one.probability, 1e-12)) + self._log_density(values)
-                for one, values in zip(found, whitened, strict=True)
-            ]
-            density = np.logaddexp.reduce(logs, axis=0)
-        log_likelihood = density + self._log_volume - np.log(scale).sum() - price / len(density)
-        return FittedMechanisms(tuple(mechanisms), log_likelihood, best, scale)
-
-    def _likeliest(self, found: Sequence[Outcome], raw: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-        """Return the raw and the standardised residuals (N, 3) of each transition's likeliest outcome."""
-        if len(raw) == 1:
-            return raw[0], self.whitener(raw[0])
-        cost = torch.stack(
-            [
-                ((one / self.whitener.residual_scale) ** 2).sum(dim=-1) - 2 * np.log(max(outcome.probability, 1e-12))
-                for one, outcome in zip(raw, found, strict=True)
-            ]
+            lost = LostCommands(self, mechanisms)
+            is_lost = lost.likeliest > 0
+            whitened, sizes = lost.whitened, effects.sizes(lost.whitened)
+            shift = effects.of_sizes(sizes)
+            residual = whitened - shift
+            scale = self._scale(residual)
+            density = lost.log_density(shift, scale)
+        log_likelihood = density - volume - np.log(scale).sum()
+        penalty = float(sizes @ sizes) / 2 + self._scale_penalty(scale)
+        effect_errors = effects.errors @ sizes
+        return FittedMechanisms(
+            tuple(mechanisms), log_likelihood, whitened, residual, scale, penalty, effect_errors, is_lost
         )
-        chosen = cost.argmin(dim=0)
-        earlier = torch.stack(list(raw))[chosen, torch.arange(len(chosen))]
-        return earlier, self.whitener(earlier)
 
-    def _log_density(self, whitened: np.ndarray) -> np.ndarray:
-        """Return the log density (N,) of residuals (N, 3) in units of their own spread."""
+    def _scale(self, residual: np.ndarray, rounds: int = 5) -> np.ndarray:
+        """Return (3,) the likeliest spread of residuals (N, 3), with its prior."""
+        count, spread = len(residual), self.settings.noise.set_scale_spread
+        squared, scale2 = residual**2, np.ones(3)
         freedom = self.noise.degrees_of_freedom
-        logs: np.ndarray = stats.norm.logpdf(whitened) if freedom is None else stats.t.logpdf(whitened, freedom)
-        return logs.sum(axis=-1)
+        for _ in range(rounds):
+            weight = np.ones(count)
+            if freedom is not None:
+                weight = (freedom + 3) / (freedom + (squared / scale2).sum(axis=1))
+            wanted = np.maximum((weight[:, None] * squared).mean(axis=0), 1e-6)
+            trust = 2 * count / (2 * count + 1 / spread**2)  # of its log, beside the prior at 0
+            scale2 = np.exp(trust * np.log(wanted))
+        return np.sqrt(scale2)
 
-    def scale(self, whitened: np.ndarray) -> np.ndarray:
-        """Return (3,) the likeliest spread of standardised residuals (N, 3)."""
-        squared = whitened**2
-        scale2 = squared.mean(axis=0)
-        freedom = self.noise.degrees_of_freedom
-        if freedom is not None:
-            for _ in range(self.settings.estimation.scale_rounds):
-                weight = (freedom + 1) / (freedom + squared / scale2)
-                scale2 = (weight * squared).mean(axis=0)
-        return np.sqrt(np.maximum(scale2, 1e-6))
+    def _scale_penalty(self, scale: np.ndarray) -> float:
+        return float(((np.log(scale) / self.settings.noise.set_scale_spread) ** 2).sum()) / 2
+
+    def explained_by(self, mechanisms: Sequence[Mechanism]) -> "SessionLikelihood":
+        """Return it with the noise of what mechanisms leave."""
+        known = [vehicle for vehicle in self.session.transitions.vehicles if vehicle not in self.strange]
+        other = SessionLikelihood(
+            self.predictor.base,
+            self.reference_noise,
+            self.session,
+            tuple(known) or ("none",),
+            self.unit_spread,
+            self._discrepancy,
+            self.settings,
+            mechanisms,
+        )
+        other.predictor, other.flexible = self.predictor, self.flexible
+        other.discrepancy = self.discrepancy
+        return other
+
+    # what mechanisms are made of
 
     def parameters(self, kinds: Sequence[MechanismClass]) -> list[tuple[int, str, Parameter]]:
         """Return the parameters of several mechanisms: number of the mechanism, name, parameter."""
@@ -209,5 +256,5 @@ class LikelihoodModel:
 
 
 def loses_commands(kinds: Sequence[MechanismClass]) -> bool:
-    """Say whether one of the mechanisms makes several outcomes: whether it decides that a command arrives."""
+    """Say whether one of the mechanisms decides that a command arrives."""
     return any(kind.arrival_probability is not Mechanism.arrival_probability for kind in kinds)

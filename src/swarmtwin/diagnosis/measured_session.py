@@ -70,6 +70,16 @@ class MeasuredSession:
         """Return the transitions chosen by a mask (N,)."""
         return MeasuredSession.of(self.transitions.where(chosen), self.conditions)
 
+    def chains(self, longest: int = 64) -> list[np.ndarray]:
+        """Return the rows of transitions that follow one another, cut into pieces of at most `longest`."""
+        order = np.lexsort((self.transitions.time_s, self.transitions.vehicle, self.run))
+        starts = np.flatnonzero((self.follows[order] < 0) | (self.follows[order] != np.roll(order, 1)))
+        return [
+            chain[begin : begin + longest]
+            for chain in np.split(order, starts[1:] if len(starts) and starts[0] == 0 else starts)
+            for begin in range(0, len(chain), longest)
+        ]
+
     def under(self, conditions: SessionConditions) -> "MeasuredSession":
         """Return the same transitions under other conditions."""
         return replace(self, conditions=conditions)

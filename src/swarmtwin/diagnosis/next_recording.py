@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from swarmtwin.diagnosis.estimation import estimate, gain_estimate, local_traction_score
-from swarmtwin.diagnosis.likelihood import LikelihoodModel
-from swarmtwin.diagnosis.one_step import OneStepPredictor
+from swarmtwin.diagnosis.left_over import Explanation
 from swarmtwin.diagnosis.reference import Reference
-from swarmtwin.diagnosis.residual_analysis import ResidualAnalysis, offered_causes
 from swarmtwin.diagnosis.result import NextRecording
+from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import NextRecordingSettings
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
@@ -23,20 +21,19 @@ DRIVE_FILE = "next_drive.csv"
 
 
 def next_recording(
-    reference: Reference, model: LikelihoodModel, analysis: ResidualAnalysis, seed: int
+    reference: Reference, explained: Explanation, seed: int
 ) -> tuple[NextRecording | None, np.ndarray | None]:
     """Plan the drive that separates the first cause that has rivals from the nearest of them, and its commands (P, m).
 
     None where no reported cause has a rival.
     """
-    for index, rivals in enumerate(analysis.causes.rivals if analysis.causes_are_reported else ()):
+    posterior, settings = explained.posterior, explained.model.settings.search
+    for name in explained.names:
+        rivals = posterior.rivals(name, settings.rival_from)
         if rivals:
-            nearest = min(rivals, key=lambda name: float(rivals[name].sum()))
-            others = tuple(one for number, one in enumerate(analysis.mechanisms) if number != index)
-            beside = model.evaluate(others)
-            kind, traction = offered_causes(model)[nearest], local_traction_score(model, beside)
-            rival = estimate(model, gain_estimate(model, beside, kind, traction).start).mechanisms
-            return separating_drive(reference, model.session.conditions, analysis.mechanisms, rival, seed)
+            rival = next(one for one in posterior.sets if rivals[0] in one.names and name not in one.names)
+            conditions = explained.model.session.conditions
+            return separating_drive(reference, conditions, explained.best.mechanisms, rival.mechanisms, seed)
     return None, None
 
 
@@ -96,10 +93,11 @@ def _expected_nats(
     steps: int,
 ) -> float:
     situation = _driven(reference, conditions, command, steps)
-    predictor = OneStepPredictor(reference.base, conditions, situation)
-    first, second = (predictor.most_likely_twist(mechanisms) for mechanisms in explanations)
-    scale = reference.noise.scale(first, torch.zeros(len(first), dtype=torch.bool))
-    return float((((first - second) / scale) ** 2).sum() / 2)
+    before = np.arange(len(command)) - 1
+    before[::steps] = -1
+    predictor = SessionPredictor(reference.base, conditions, situation, before)
+    first, second = (predictor.most_likely_twist(mechanisms).numpy() for mechanisms in explanations)
+    return float((((first - second) / reference.noise.spread(first)) ** 2).sum() / 2)
 
 
 def _driven(reference: Reference, conditions: SessionConditions, command: np.ndarray, steps: int) -> Situation:

@@ -1,12 +1,22 @@
-"""The reference's own noise: what measured motion differs by from the simulation where nothing is wrong."""
+"""The reference's own noise: what measured motion differs by from the simulation where nothing is wrong.
 
-from dataclasses import dataclass
+An error e is the displacement from where the simulation says a vehicle goes to where it was measured, as a twist
+(forward_mm, left_mm, turn_rad) in the frame at the period's end. The motion's own part is a change of its twist. A pose
+that is measured wrong makes two of them wrong: with camera errors ε before and after a period, and η of the motion,
+
+    e_t = −A_t ε_t + η_t + ε_{t+1},    A_t = Ad(displacement_t⁻¹),
+
+to first order. So errors of one run are jointly normal with a block-tridiagonal covariance, and a filter over ε makes
+them independent of each other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-import torch
-from scipy import optimize, stats
-from torch import Tensor
+from scipy import optimize
+from scipy.special import gammaln
 
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.settings import NoiseSettings
@@ -14,124 +24,333 @@ from swarmtwin.diagnosis.settings import NoiseSettings
 
 @dataclass(frozen=True)
 class Noise:
-    """How residuals (measured minus simulated twist: forward_mm, left_mm, turn_rad) spread and how long they last.
-
-    A pose that is measured wrong makes two residuals wrong, the other way round; water that moves, moves on. So each
-    residual is first freed of what the one before says of it, then divided by its own spread, which grows with the
-    motion.
+    """How errors spread: motion that grows with what is moved, and the camera's part.
 
     Attributes:
-        carry: (3, 5) what is expected of a residual after the one before, in the vehicle's frame: of its three numbers,
-            and of its turn times the twist ahead and to the left, since a heading that is measured wrong bends both.
-        usual: (3,) usual size of the motion.
-        log_scale: (8, 3) log standard deviation over [1, size, size², first of its run].
-        largest_motion: sizes beyond which it grows no more.
-        mixing: (3, 3) makes what is left uncorrelated.
-        degrees_of_freedom: of the tails (Student's t); None: normal.
+        usual: (2,) usual way ahead in mm and turn in rad.
+        growth: (3, 3) for each axis of the twist its variance over
+            [1, (forward / usual)², (turn / usual)²].
+        forward_with_turn: covariance of way ahead and turn over forward · turn, which unlike wheels have.
+        camera: (3,) variance of a measured pose: x and y in mm², heading in rad².
+        degrees_of_freedom: of the tails (Student's t with this scale); None: normal.
     """
 
-    carry: Tensor
-    usual: Tensor
-    log_scale: Tensor
-    largest_motion: float
-    mixing: Tensor
+    usual: np.ndarray
+    growth: np.ndarray
+    forward_with_turn: float
+    camera: np.ndarray
     degrees_of_freedom: float | None
 
     @classmethod
     def learn(
-        cls, residual: Tensor, twist: Tensor, session: MeasuredSession, settings: NoiseSettings | None = None
+        cls, error: np.ndarray, twist: np.ndarray, session: MeasuredSession, settings: NoiseSettings | None = None
     ) -> Self:
-        """Learn from residuals (N, 3) of transitions that the simulation was not fitted to, and simulated twists."""
+        """Learn from errors (N, 3) of transitions that the simulation was not fitted to, and their twists (N, 3)."""
         settings = settings or NoiseSettings()
-        usual = twist.std(dim=0).clamp(min=1e-6)
-        follows = torch.as_tensor(session.follows >= 0)
-        before = _regressors_before(residual, twist / usual, session)
-        carry = torch.linalg.lstsq(before[follows], residual[follows], driver="gelsd").solution.T
-        innovation = residual - before @ carry.T
-        columns = _scale_regressors(twist / usual, follows, settings.largest_motion)
-        log_scale = torch.stack([_log_scale(columns, innovation[:, axis], settings) for axis in range(3)], dim=-1)
-        scaled = innovation / _scale(columns, log_scale)
-        clipped = scaled.clamp(-settings.clip_z, settings.clip_z)
-        mixing = torch.linalg.inv(torch.linalg.cholesky(torch.cov(clipped.T)))
-        freedom = _degrees_of_freedom((scaled @ mixing.T).numpy(), settings.degrees_of_freedom)
-        heavy = freedom if freedom < settings.normal_from else None
-        return cls(carry, usual, log_scale, settings.largest_motion, mixing, heavy)
+        usual = np.maximum(np.sqrt((twist[:, [0, 2]] ** 2).mean(axis=0)), 1e-6)
+        scale = np.tile(np.maximum(error.std(axis=0), 1e-9), (len(error), 1))
+        size, to_twist = _size(twist, usual), np.linalg.inv(right_jacobian(twist))
+        along = np.einsum("nij,nj->ni", to_twist, error)
+        for _ in range(settings.rounds):
+            kept = (np.abs(along) / scale).max(axis=1) <= settings.clip_z
+            camera = _camera_variance(error, twist, session, kept)
+            seen = to_twist @ _camera_covariance(twist, camera) @ to_twist.transpose(0, 2, 1)
+            own = seen[:, range(3), range(3)]
+            growth = np.stack([_growth(size, along[:, axis], own[:, axis], scale[:, axis], kept) for axis in range(3)])
+            growth[:, 0] += settings.least_share * (growth.sum(axis=1) + camera)
+            scale = np.sqrt(size @ growth.T + own)
+        both = twist[:, 0] * twist[:, 2]
+        together = (along[:, 0] * along[:, 2] - seen[:, 0, 2])[kept]
+        with_turn = float(together @ both[kept] / max(float(both[kept] @ both[kept]), 1e-12))
+        noise = cls(usual, growth, with_turn, camera, None)
+        return noise._with_scales(error, twist, session, settings)._with_tails(error, twist, session, settings)
 
-    def scale(self, twist: Tensor, first: Tensor) -> Tensor:
-        """Return standard deviations (N, 3) of residuals at simulated twists (N, 3), `first` (N,) of their runs."""
-        return _scale(_scale_regressors(twist / self.usual, ~first, self.largest_motion), self.log_scale)
+    def _with_scales(
+        self, error: np.ndarray, twist: np.ndarray, session: MeasuredSession, settings: NoiseSettings
+    ) -> Self:
+        return self.scaled(likeliest_scales(self, error, twist, session, settings.scale_spread))
 
-    def whitener(self, twist: Tensor, session: MeasuredSession) -> "Whitener":
-        """Prepare to standardise residuals of a session whose simulated twists are (N, 3)."""
-        first = torch.as_tensor(session.follows < 0)
-        return Whitener(self, session, twist / self.usual, self.scale(twist, first))
+    def _with_tails(
+        self,
+        error: np.ndarray,
+        twist: np.ndarray,
+        session: MeasuredSession,
+        settings: NoiseSettings,
+        worth: float = 2.0,
+    ) -> Self:
+        """Return it with tails where these make errors likelier by more nats than a parameter is worth."""
+        whitened = self.filter(twist, session)(error[..., None])[..., 0]
+        best, most = None, float(log_density(whitened, None).sum()) + worth
+        for freedom in settings.degrees_of_freedom:
+            scale2 = 1.0
+            for _ in range(10):
+                scale2 = float((tail_weights(whitened / np.sqrt(scale2), freedom)[:, None] * whitened**2).mean())
+            likelihood = log_density(whitened / np.sqrt(scale2), freedom).sum() - 1.5 * len(whitened) * np.log(scale2)
+            if likelihood > most:
+                alike = NoiseScales(scale2, scale2, scale2)
+                best, most = replace(self.scaled(alike), degrees_of_freedom=freedom), float(likelihood)
+        return best._with_scales(error, twist, session, settings) if best else self
+
+    def scaled(self, scales: "NoiseScales") -> Self:
+        """Return it with other variances of motion, measured positions and measured headings."""
+        camera = self.camera * np.array([scales.position, scales.position, scales.heading])
+        growth, with_turn = self.growth * scales.motion, self.forward_with_turn * scales.motion
+        return replace(self, growth=growth, forward_with_turn=with_turn, camera=camera)
+
+    def motion_covariance(self, twist: np.ndarray) -> np.ndarray:
+        """Return the covariances (N, 3, 3) of the motion's own part at twists (N, 3), in the frame at the end."""
+        variance = _size(twist, self.usual) @ self.growth.T
+        covariance = np.zeros((len(twist), 3, 3))
+        covariance[:, range(3), range(3)] = variance
+        most = 0.9 * np.sqrt(variance[:, 0] * variance[:, 2])
+        shared = np.clip(self.forward_with_turn * twist[:, 0] * twist[:, 2], -most, most)
+        covariance[:, 0, 2] = covariance[:, 2, 0] = shared
+        jacobian = right_jacobian(twist)
+        at_end: np.ndarray = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+        return at_end
+
+    def log_of_usual(self, twist: np.ndarray) -> float:
+        """Return the log of the motion's standard deviation at twists (N, 3) over that of the reference's motion."""
+        ratio = (_size(twist, self.usual).mean(axis=0) @ self.growth.T) / self.growth.sum(axis=1)
+        return float(np.log(ratio[[0, 2]]).mean() / 2)
+
+    def spread(self, twist: np.ndarray) -> np.ndarray:
+        """Return standard deviations (N, 3) of single errors at twists (N, 3)."""
+        total = self.motion_covariance(twist) + _camera_covariance(twist, self.camera)
+        spread: np.ndarray = np.sqrt(total[:, range(3), range(3)])
+        return spread
+
+    def filter(self, twist: np.ndarray, session: MeasuredSession) -> "NoiseFilter":
+        """Prepare to make errors of a session independent, whose vehicles truly move by about `twist` (N, 3)."""
+        return NoiseFilter.of(self, twist, session)
+
+    def log_likelihood(self, error: np.ndarray, twist: np.ndarray, session: MeasuredSession) -> float:
+        """Return the log-likelihood of errors (N, 3), nats."""
+        prepared = self.filter(twist, session)
+        density = log_density(prepared(error[..., None])[..., 0], self.degrees_of_freedom)
+        return float(density.sum() - prepared.log_volume.sum())
 
 
 @dataclass(frozen=True)
-class Whitener:
-    """Standardises the residuals of one session.
+class NoiseScales:
+    """Factors on the variances of the motion, of measured positions and of measured headings."""
 
-    Attributes:
-        noise: the reference's.
-        session: whose residuals.
-        size: (N, 3) simulated twists over usual ones.
-        residual_scale: (N, 3) standard deviations of the residuals.
+    motion: float = 1.0
+    position: float = 1.0
+    heading: float = 1.0
+
+
+def likeliest_scales(
+    noise: Noise, error: np.ndarray, twist: np.ndarray, session: MeasuredSession, spread: float, most_chains: int = 40
+) -> NoiseScales:
+    """Return the likeliest factors on a session's noise, at most `most_chains` of its runs looked at.
+
+    Args:
+        noise: of the reference.
+        error: (N, 3) of what no longer depends on anything.
+        twist: (N, 3) by which vehicles move.
+        session: theirs.
+        spread: standard deviation of the logs of the factors' square roots, normal prior.
+        most_chains: pieces of runs that are looked at.
+    """
+    chains = session.chains()
+    part = chains[:: max(1, len(chains) // most_chains)]
+
+    def loss(logs: np.ndarray) -> float:
+        scaled = noise.scaled(NoiseScales(*np.exp(2 * logs)))
+        prepared = NoiseFilter.of(scaled, twist, session, part)
+        rows = np.concatenate(part)
+        density = log_density(prepared(error[..., None])[rows, :, 0], noise.degrees_of_freedom)
+        likelihood = density.sum() - prepared.log_volume[rows].sum()
+        return float(-likelihood * len(error) / len(rows) + ((logs / spread) ** 2).sum() / 2)
+
+    simplex = np.concatenate([np.zeros((1, 3)), 0.15 * np.eye(3)])
+    options = {"initial_simplex": simplex, "xatol": 0.004, "fatol": 0.2, "maxfev": 60}
+    found = optimize.minimize(loss, np.zeros(3), method="Nelder-Mead", options=options)
+    return NoiseScales(*np.exp(2 * np.clip(found.x, -3.0, 3.0)))
+
+
+def motion_scale_log(
+    noise: Noise,
+    scales: NoiseScales,
+    error: np.ndarray,
+    twist: np.ndarray,
+    session: MeasuredSession,
+    step: float = 0.03,
+) -> tuple[float, float]:
+    """Return the log of the factor on the motion's standard deviation, with its standard error over runs.
+
+    Args:
+        noise: of the session, with these factors.
+        scales: the factors.
+        error: (N, 3) of what no longer depends on anything.
+        twist: (N, 3) by which vehicles move.
+        session: theirs.
+        step: of logs, for derivatives.
     """
 
-    noise: Noise
-    session: MeasuredSession
-    size: Tensor
-    residual_scale: Tensor
+    def by_run(logs: np.ndarray) -> np.ndarray:
+        scaled = noise.scaled(NoiseScales(*np.exp(2 * logs)))
+        prepared = scaled.filter(twist, session)
+        density = log_density(prepared(error[..., None])[..., 0], noise.degrees_of_freedom) - prepared.log_volume
+        return session.by_run(density)
 
-    def __call__(self, residual: Tensor, earlier: Tensor | None = None) -> Tensor:
-        """Return residuals (N, 3) in units of the reference's noise, independent of each other.
+    steps = step * np.eye(3)
+    ends = [(by_run(one), by_run(-one)) for one in steps]
+    middle = by_run(np.zeros(3))
+    scores = np.stack([(ahead - back) / (2 * step) for ahead, back in ends], axis=-1)
+    curvature = np.empty((3, 3))
+    for one in range(3):
+        curvature[one, one] = -(ends[one][0] + ends[one][1] - 2 * middle).sum() / step**2
+        for other in range(one):
+            both = by_run(steps[one] + steps[other]) - ends[one][0] - ends[other][0] + middle
+            curvature[one, other] = curvature[other, one] = -both.sum() / step**2
+    inverse = np.linalg.pinv(curvature)
+    newton = inverse @ scores.sum(axis=0)
+    scores = scores - scores.mean(axis=0)
+    covariance = inverse @ (scores.T @ scores) @ inverse
+    log = np.log(scales.motion) / 2 + float(np.clip(newton[0], -0.2, 0.2))
+    return float(log), float(np.sqrt(max(covariance[0, 0], 1e-12)))
 
-        `earlier` (N, 3) are the residuals that count as those before; by default the same ones.
-        """
-        before = _regressors_before(residual if earlier is None else earlier, self.size, self.session)
-        whitened: Tensor = ((residual - before @ self.noise.carry.T) / self.residual_scale) @ self.noise.mixing.T
+
+@dataclass(frozen=True)
+class NoiseFilter:
+    """Makes the errors of one session independent, with unit covariance; a linear map.
+
+    Attributes:
+        steps: rows of the n-th transitions of all chains that have so many, for n from 0; longest chains first.
+        carry: (N, 3, 3) what the camera's error before a period does to its error, −A.
+        whiten: (N, 3, 3) standardises innovations.
+        gain: (N, 3, 3) what an innovation says of the camera's error after it.
+        log_volume: (N,) log determinant of the innovation's standard deviation.
+    """
+
+    steps: Sequence[np.ndarray]
+    carry: np.ndarray
+    whiten: np.ndarray
+    gain: np.ndarray
+    log_volume: np.ndarray
+
+    @classmethod
+    def of(
+        cls, noise: Noise, twist: np.ndarray, session: MeasuredSession, chains: Sequence[np.ndarray] | None = None
+    ) -> Self:
+        """Run the filter's covariances through the chains, by default all."""
+        ordered = sorted(session.chains() if chains is None else chains, key=len, reverse=True)
+        longest = len(ordered[0]) if ordered else 0
+        steps = [np.array([chain[n] for chain in ordered if len(chain) > n]) for n in range(longest)]
+        camera = np.diag(noise.camera)
+        carry, motion = -inverse_adjoint(twist), noise.motion_covariance(twist)
+        whiten, gain, volume = np.zeros_like(carry), np.zeros_like(carry), np.zeros(len(twist))
+        known = np.tile(camera, (len(ordered), 1, 1))
+        for rows in steps:
+            before = carry[rows]
+            spread = before @ known[: len(rows)] @ before.transpose(0, 2, 1) + motion[rows] + camera
+            root = np.linalg.cholesky(spread)
+            whiten[rows] = np.linalg.inv(root)
+            volume[rows] = np.log(root[:, range(3), range(3)]).sum(axis=1)
+            gain[rows] = camera @ whiten[rows].transpose(0, 2, 1) @ whiten[rows]
+            known = camera - gain[rows] @ camera
+        return cls(steps, carry, whiten, gain, volume)
+
+    def __call__(self, errors: np.ndarray) -> np.ndarray:
+        """Return columns of errors (N, 3, k), or of their changes, independent and of unit covariance."""
+        return self.with_history(errors, errors)
+
+    def with_history(self, errors: np.ndarray, history: np.ndarray) -> np.ndarray:
+        """Standardise errors (N, 3, k) given that those before them were `history` (N, 3, k)."""
+        whitened = np.zeros_like(errors)
+        expected = np.zeros_like(errors[:0])
+        for number, rows in enumerate(self.steps):
+            if number:
+                shift = self.carry[rows] @ expected[: len(rows)]
+                whitened[rows] = self.whiten[rows] @ (errors[rows] - shift)
+                expected = self.gain[rows] @ (history[rows] - shift)
+            else:
+                whitened[rows] = self.whiten[rows] @ errors[rows]
+                expected = self.gain[rows] @ history[rows]
         return whitened
 
 
-def _regressors_before(residual: Tensor, size: Tensor, session: MeasuredSession) -> Tensor:
-    """Return (N, 5) what the residual of the transition before says, seen from this one; 0 where there is none."""
-    before = session.before(residual)
-    bent = before[:, 2:] * size[:, :2]
-    return torch.cat([before, bent], dim=-1) * torch.as_tensor(session.follows >= 0)[:, None]
+def log_density(whitened: np.ndarray, freedom: float | None) -> np.ndarray:
+    """Return the log densities (...,) of whitened errors (..., 3), normal or Student's t of three dimensions."""
+    squared = (whitened**2).sum(axis=-1)
+    if freedom is None:
+        normal: np.ndarray = -0.5 * squared - 1.5 * np.log(2 * np.pi)
+        return normal
+    constant = gammaln((freedom + 3) / 2) - gammaln(freedom / 2) - 1.5 * np.log(freedom * np.pi)
+    student: np.ndarray = constant - 0.5 * (freedom + 3) * np.log1p(squared / freedom)
+    return student
 
 
-def _scale_regressors(size: Tensor, follows: Tensor, largest: float) -> Tensor:
-    size = size.abs().clamp(max=largest)
-    return torch.cat([torch.ones(len(size), 1), size, size**2, (~follows)[:, None].double()], dim=-1).double()
+def inverse_adjoint(twist: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) how a small motion before a period looks in the frame after it: Ad(exp(twist)⁻¹)."""
+    turn = twist[:, 2]
+    near = np.abs(turn) < 1e-6
+    safe = np.where(near, 1.0, turn)
+    sine = np.where(near, 1.0, np.sin(safe) / safe)
+    cosine = np.where(near, turn / 2, (1 - np.cos(safe)) / safe)
+    x = sine * twist[:, 0] - cosine * twist[:, 1]
+    y = cosine * twist[:, 0] + sine * twist[:, 1]
+    cos, sin = np.cos(turn), np.sin(turn)
+    adjoint = np.zeros((len(twist), 3, 3))
+    adjoint[:, 0, 0], adjoint[:, 0, 1], adjoint[:, 0, 2] = cos, sin, -cos * y + sin * x
+    adjoint[:, 1, 0], adjoint[:, 1, 1], adjoint[:, 1, 2] = -sin, cos, sin * y + cos * x
+    adjoint[:, 2, 2] = 1.0
+    return adjoint
 
 
-def _scale(columns: Tensor, log_scale: Tensor) -> Tensor:
-    return (columns @ log_scale).clamp(-12.0, 12.0).exp()  # e±12: beyond any believable mm or rad, but finite
+def _size(twist: np.ndarray, usual: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.ones(len(twist)), (twist[:, [0, 2]] / usual) ** 2])
 
 
-def _log_scale(columns: Tensor, innovation: Tensor, settings: NoiseSettings) -> Tensor:
-    """Fit the log standard deviation (columns,) by maximum likelihood with a slight ridge, robust against outliers."""
-    usual = float(1.4826 * innovation.abs().median())  # the median of |z| is 1 / 1.4826
-    inputs = columns.numpy()
-    squared = np.minimum((innovation.numpy() / usual) ** 2, settings.clip_squared)
-    ridge = settings.ridge
-
-    def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
-        log = inputs @ weights
-        ratio = squared * np.exp(-2 * log)
-        gradient = inputs.T @ (1 - ratio) / len(log) + 2 * ridge * np.r_[0.0, weights[1:]]
-        return float((log + ratio / 2).mean() + ridge * (weights[1:] ** 2).sum()), gradient
-
-    found = optimize.minimize(loss, np.zeros(inputs.shape[1]), jac=True, method="L-BFGS-B")
-    found.x[0] += np.log(usual)
-    return torch.as_tensor(found.x)
+def _camera_covariance(twist: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) what the camera adds to the covariance of single errors."""
+    adjoint = inverse_adjoint(twist)
+    covariance: np.ndarray = adjoint * camera @ adjoint.transpose(0, 2, 1) + np.diag(camera)
+    return covariance
 
 
-def _degrees_of_freedom(whitened: np.ndarray, candidates: tuple[float, ...]) -> float:
-    """Return the likeliest of the candidates, each with its own scale; 20,000 values tell the scale well enough."""
+def _growth(size: np.ndarray, error: np.ndarray, camera: np.ndarray, scale: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return (3,) by which an error's variance grows with what is moved; each square counts as it is known itself."""
+    known = 1 / scale[kept] ** 2
+    found: np.ndarray = optimize.nnls(size[kept] * known[:, None], (error[kept] ** 2 - camera[kept]) * known)[0]
+    return found
 
-    def likelihood(freedom: float) -> float:
-        scale = stats.t.fit(whitened.ravel()[:20_000], fdf=freedom, floc=0)[2]
-        return float(stats.t.logpdf(whitened, freedom, scale=scale).sum())
 
-    return max(candidates, key=likelihood)
+def right_jacobian(twist: np.ndarray) -> np.ndarray:
+    """Return (N, 3, 3) how a small change of a twist looks in the frame at its end (Solà et al., 2018, eq. 163)."""
+    x, y, turn = twist.T
+    near = np.abs(turn) < 1e-4
+    safe = np.where(near, 1.0, turn)
+    sine = np.where(near, 1.0, np.sin(safe) / safe)
+    cosine = np.where(near, turn / 2, (1 - np.cos(safe)) / safe)
+    lag = np.where(near, turn / 6, (safe - np.sin(safe)) / safe**2)
+    curve = np.where(near, 0.5, (1 - np.cos(safe)) / safe**2)
+    jacobian = np.zeros((len(twist), 3, 3))
+    jacobian[:, 0, 0], jacobian[:, 0, 1], jacobian[:, 0, 2] = sine, cosine, x * lag - y * curve
+    jacobian[:, 1, 0], jacobian[:, 1, 1], jacobian[:, 1, 2] = -cosine, sine, y * lag + x * curve
+    jacobian[:, 2, 2] = 1.0
+    return jacobian
+
+
+def _camera_variance(error: np.ndarray, twist: np.ndarray, session: MeasuredSession, kept: np.ndarray) -> np.ndarray:
+    """Return (3,) the camera's variance: neighbouring errors disagree by it, Cov(e_t, A_{t+1}⁻¹ e_{t+1}) = −C."""
+    later = np.flatnonzero((session.follows >= 0) & kept)
+    later = later[kept[session.follows[later]]]
+    most = 0.45 * error[kept].var(axis=0)
+    if len(later) < 100:  # too few pairs for a covariance: all is taken for motion
+        return 1e-3 * most + 1e-12
+    back = np.linalg.solve(inverse_adjoint(twist[later]), error[later][..., None])[..., 0]
+    shared = -(error[session.follows[later]] * back).mean(axis=0)
+    shared[:2] = shared[:2].mean()  # a camera errs alike along both axes of its image
+    most[:2] = most[:2].min() if most[:2].min() > 0 else most[:2].max()
+    return np.clip(shared, 1e-3 * most + 1e-12, most + 1e-12)
+
+
+def tail_weights(whitened: np.ndarray, freedom: float | None) -> np.ndarray:
+    """Return (N,) how much errors count in least squares that stand for the likelihood under Student's t."""
+    if freedom is None:
+        return np.ones(len(whitened))
+    weight: np.ndarray = (freedom + 3) / (freedom + (whitened**2).sum(axis=-1))
+    return weight

@@ -4,18 +4,21 @@ from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
+import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from swarmtwin.diagnosis.discrepancy import Discrepancy
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
-from swarmtwin.diagnosis.one_step import OneStepPredictor
+from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings, ReferenceSettings
 from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import exp_map
+from swarmtwin.geometry import displacement_between, exp_map, log_map
 from swarmtwin.learning.ensemble import folds_of, learn
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, SituationPart
@@ -43,11 +46,11 @@ class Reference:
         session: the reference's own transitions, and the conditions they were measured under.
         cross_fitted: what answers these transitions, each without having seen its run.
         vehicles: ids of the vehicles it was learned from.
+        discrepancy: what the simulation gets wrong of these runs though it has not seen them; None: all of that counts
+            as a gap.
         unit_spread: by which share other vehicles are expected to differ from these (standard deviation): what the
             robot's file states, else as these differ from each other, else the settings' prior.
         settings: of every diagnosis with this reference.
-        reference_discrepancy: whether what the simulation gets wrong on the reference as well counts as its own
-            discrepancy, and is no gap.
     """
 
     base: BaseDynamics
@@ -55,9 +58,9 @@ class Reference:
     session: MeasuredSession
     cross_fitted: CrossFitted
     vehicles: tuple[str, ...]
+    discrepancy: Discrepancy | None
     unit_spread: float
     settings: DiagnosisSettings
-    reference_discrepancy: bool = True
 
     @property
     def robot(self) -> Robot:
@@ -136,16 +139,37 @@ class Reference:
         """Learn the noise from what cross-fitted answers leave of the reference's own transitions."""
         session = session.under(with_actuation(session.conditions, base, seed))
         cross_fitted = CrossFitted(base, fold)
-        predictor = OneStepPredictor(cross_fitted, session.conditions, session.situation)
-        twist = predictor.simulated()
+        predictor = SessionPredictor(cross_fitted, session.conditions, session.situation, session.follows)
+        twist = predictor.twist(())
         base.motion_noise = MotionNoise.estimate(session.transitions, exp_map(twist).numpy())
-        noise = Noise.learn(session.residual_of(twist), twist, session, settings.noise)
+        measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
+        errors = log_map(displacement_between(exp_map(twist), measured)).numpy()
+        first = Noise.learn(errors, twist.numpy(), session, settings.noise)
+        rough = SessionLikelihood(cross_fitted, first, session, settings=settings)
+        noise = Noise.learn(errors - rough.expected_errors, rough.motion, session, settings.noise)
+        discrepancy = None
+        if reference_discrepancy:
+            alone = SessionLikelihood(cross_fitted, noise, session, settings=settings)
+            discrepancy = Discrepancy.learn(alone, settings.likelihood.discrepancy)
         transitions = session.transitions
         vehicles = tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle))
         unit_spread = base.robot.unit_spread
         if unit_spread is None:
-            unit_spread = estimated_unit_spread(predictor, noise, session, twist, settings.units)
-        return cls(base, noise, session, cross_fitted, vehicles, unit_spread, settings, reference_discrepancy)
+            unit_spread = estimated_unit_spread(predictor, noise, errors, session, twist, settings.units)
+        return cls(base, noise, session, cross_fitted, vehicles, discrepancy, unit_spread, settings)
+
+    def likelihood_of(self, session: MeasuredSession) -> SessionLikelihood:
+        """Return how likely a measured session is by this reference."""
+        return SessionLikelihood(
+            self.base, self.noise, session, self.vehicles, self.unit_spread, self.discrepancy, self.settings
+        )
+
+    @property
+    def own_likelihood(self) -> SessionLikelihood:
+        """How likely the reference's own transitions are by what has not seen them."""
+        return SessionLikelihood(
+            self.cross_fitted, self.noise, self.session, discrepancy=self.discrepancy, settings=self.settings
+        )
 
     def comparable(self, measured: Recording) -> "ComparableSession":
         """Return what of a measured recording can be compared.
@@ -232,7 +256,7 @@ def require_enough(session: MeasuredSession, settings: ReferenceSettings, what: 
 
 def _twist(base: DynamicsModel, session: MeasuredSession) -> Tensor:
     """Return what a base answers to a session's situations, (N, 3)."""
-    return OneStepPredictor(base, session.conditions, session.situation).simulated()
+    return SessionPredictor(base, session.conditions, session.situation, session.follows).twist(())
 
 
 def _learned_base(

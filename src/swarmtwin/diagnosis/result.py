@@ -44,8 +44,8 @@ class Cause(StrictModel):
     Attributes:
         name: of the mechanism, one of the catalogue.
         parameters: by name.
-        confidence: share of 1,000 bootstrap resamples of the runs in which this cause fits better than any other one.
-        rivals: causes that this session cannot tell from it.
+        confidence: posterior probability that it is there, summed over all sets of causes.
+        rivals: causes that share that probability with it, in sets without it.
         share_of_gap: of the squared error that can be explained at all, the part that this cause explains.
         evidence: one sentence that a person can read.
     """
@@ -122,6 +122,25 @@ class NextRecording(StrictModel):
     command: str
 
 
+class DetectionLimit(StrictModel):
+    """The smallest effect of a cause that the session would have shown.
+
+    Attributes:
+        cause: its name.
+        parameter: that measures its size.
+        value: of that parameter at which the cause would have been named with a probability of 90 %, other parameters
+            at the grid point where this is smallest; null where no value within the bounds would.
+        unit: of it.
+        share_of_range: its distance from doing nothing, as a share of the bounds' distance.
+    """
+
+    cause: str
+    parameter: str
+    value: Number | None
+    unit: str
+    share_of_range: Share
+
+
 class DiagnosisResult(StrictModel):
     """The content of `diagnosis.json`.
 
@@ -141,6 +160,7 @@ class DiagnosisResult(StrictModel):
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
         not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named. Null
             where they do, or where there is none.
+        detection_limits: for each cause that was not found, the smallest that the session would have shown.
         seed: of everything random.
         format: changes when older versions cannot read the file.
     """
@@ -158,6 +178,7 @@ class DiagnosisResult(StrictModel):
     transitions: dict[str, int]
     extension: Extension
     not_confirmed: str | None = None
+    detection_limits: tuple[DetectionLimit, ...] = ()
     seed: int
     format: Literal[1] = 1
 

@@ -40,20 +40,42 @@ class NoiseSettings(StrictModel):
     """How the reference's noise is learned.
 
     Attributes:
-        ridge: on how the log standard deviation grows with the motion, per squared unit: few data must not bend it.
-        largest_motion: multiples of the usual motion beyond which the noise grows no more.
-        clip_z: standardised residuals are clipped here before their correlation is taken.
-        clip_squared: squared residuals, over their median size, are clipped here: outliers do not set the spread.
-        degrees_of_freedom: candidates for the tails (Student's t).
-        normal_from: degrees of freedom from which on tails count as normal.
+        rounds: of weighted least squares for the variances.
+        clip_z: errors beyond so many standard deviations are outliers, and left out of these.
+        least_share: of an axis' whole variance that a vehicle at rest has at least: nothing is measured exactly.
+        scale_spread: prior standard deviation of the log of the noise's scale, where it is fitted to the reference.
+        degrees_of_freedom: candidates for the tails (Student's t), beside normal ones.
+        set_scale_spread: prior standard deviation of the log of the spread that each explanation leaves.
     """
 
-    ridge: NonNegative = 1e-3
-    largest_motion: Positive = 3.0
+    rounds: Count = 4
     clip_z: Positive = 4.0
-    clip_squared: Positive = 25.0
-    degrees_of_freedom: tuple[Positive, ...] = (4.0, 5.0, 7.0, 10.0, 15.0, 30.0, 100.0)
-    normal_from: Positive = 100.0
+    least_share: Positive = 0.01
+    scale_spread: Positive = 1.0
+    set_scale_spread: Positive = 0.5
+    degrees_of_freedom: tuple[Positive, ...] = (4.0, 8.0, 16.0)
+
+
+class FlexibleSettings(StrictModel):
+    """The flexible regression that says what errors depend on at all.
+
+    Attributes:
+        folds: parts of the runs; each is predicted by what was fitted to the others.
+        ridges: candidates, over the mean of the features' information.
+        clip_z: errors are clipped here, in standard deviations: outliers must not bend it.
+        command_waves: random cosines of commands, at each of their scales.
+        place_waves: of the place in the arena.
+        place_scale: their standard deviation in waves, 1 per half of the arena.
+        time_waves: cosines over the session.
+    """
+
+    folds: Annotated[int, Field(ge=2)] = 4
+    ridges: tuple[Positive, ...] = (0.01, 0.1, 1.0, 10.0)
+    clip_z: Positive = 6.0
+    command_waves: Count = 30
+    place_waves: Count = 40
+    place_scale: Positive = 3.0
+    time_waves: Count = 6
 
 
 class UnitSettings(StrictModel):
@@ -96,110 +118,87 @@ class DependenceSettings(StrictModel):
     runs_a_regressor: Count = 3
 
 
+class LikelihoodSettings(StrictModel):
+    """What is no gap, though nobody knows it exactly.
+
+    Attributes:
+        discrepancy: prior standard deviation of each of the simulation's smooth errors, in units of the noise; what the
+            reference shows of them is added.
+        form: of how a mechanism's form differs from the true one, as a share of what it does.
+    """
+
+    discrepancy: Positive = 0.3
+    form: Positive = 0.05
+
+
 class EstimationSettings(StrictModel):
     """How mechanisms' parameters are estimated.
 
     Attributes:
-        huber_z: standardised residuals beyond this pull in proportion no more (Huber's loss).
-        outlier_z: residuals are clipped here before their spread is taken, where commands may be lost.
-        evaluations: most evaluations of each round of least squares; every round weighs the axes anew.
-        scale_rounds: of the fixed-point iteration for the scale under Student's t.
+        rounds: of Gauss and Newton's method at most, without and then with what is unknown of the mechanisms' form.
+        likelihood_rounds: of the search in the likelihood itself, where commands may be lost.
         most_polishing: evaluations of the local search where the motion changes by jumps.
-        traction_step: loss of traction by which its local effect is measured.
-        information_ridge: on the information matrix in parameters of unit size, so that it can be inverted.
-        bootstraps: draws of the parameters for their intervals, and of runs for a cause's confidence.
+        draws: of the parameters for their intervals.
         clock_bootstraps: resamples of the runs for what is read off the clock.
         interval: probability that an interval holds.
     """
 
-    huber_z: Positive = 2.5
-    outlier_z: Positive = 4.0
-    evaluations: tuple[Count, ...] = (12, 6)
-    scale_rounds: Count = 9
-    most_polishing: Count = 40
-    traction_step: Positive = 0.02
-    information_ridge: NonNegative = 1e-6
-    bootstraps: Count = 1000
+    rounds: Count = 4
+    likelihood_rounds: Count = 8
+    most_polishing: Count = 30
+    draws: Count = 1000
     clock_bootstraps: Count = 200
     interval: Share = 0.95
 
 
 class SearchSettings(StrictModel):
-    """The search for causes: what a further one must bring.
+    """The search for sets of causes.
 
     Attributes:
-        most_causes: named in one session.
+        prior: probability of each cause to be there.
+        least_nats_a_transition: that a cause must bring to matter: less is left to what nobody knows exactly. A gain of
+            0.005 lowers errors by about 0.2 %.
+        most_causes: in one set.
         most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
-        fewest_nats: of evidence for any cause.
-        fewest_nats_a_transition: likewise for each transition: what matters grows with the session.
-        penalty_weight: of the optimism of having fitted, in the evidence.
-        jump_nats: taken off where the motion changes by jumps with the parameters: many values are tried.
-        least_share: of all that was gained so far, which a further cause must bring.
-        clip_z: residuals are clipped here where a gain is compared with the reference's own discrepancy.
-        fewest_errors: standard errors over runs that a gain must be above nothing.
-        fewest_errors_of_large: likewise for gains beyond `large_gain` times the fewest nats.
-        large_gain: see there.
-        tried_share: a mechanism is fitted where it promises this share of what is needed.
-        exchange_nats: by which another cause must fit better to be put in the place of one.
-        exchange_tried_share: a mechanism is tried in the place of another where it promises this share of its gain.
-        rival_nats: a cause that fits in another's place with no more nats less is its rival,
-        rival_errors: or with no more standard errors over runs less.
-        nats_a_parameter: by which a rival with a parameter more must fit better.
+        grid_points: of each mechanism's grid, where it is screened.
+        fitted_a_set: mechanisms that are fitted beside each of the sets that are kept.
+        fitted_pairs: pairs that are fitted at once.
+        kept_sets: of each size, beside which a further cause is looked for.
+        least_promise: nats below which nothing is fitted.
+        named_from: probability from which on a cause counts as sure.
+        reported_from: probability from which on a cause leads: it is named where it or its rivals are sure.
+        rival_from: probability that a cause must hold in the place of another one to be its rival.
     """
 
+    prior: Share = 0.05
+    least_nats_a_transition: NonNegative = 0.005
     most_causes: Count = 4
     most_transitions: Count = 6000
-    fewest_nats: Positive = 15.0
-    fewest_nats_a_transition: NonNegative = 0.006
-    penalty_weight: NonNegative = 2.0
-    jump_nats: NonNegative = 8.0
-    least_share: Share = 0.04
-    clip_z: Positive = 5.0
-    fewest_errors: Positive = 4.0
-    fewest_errors_of_large: Positive = 2.3
-    large_gain: Positive = 3.0
-    tried_share: Share = 0.35
-    exchange_nats: NonNegative = 3.0
-    exchange_tried_share: Share = 0.5
-    rival_nats: NonNegative = 4.0
-    rival_errors: NonNegative = 2.5
-    nats_a_parameter: NonNegative = 4.0
+    grid_points: Count = 12
+    fitted_a_set: Count = 4
+    fitted_pairs: Count = 4
+    kept_sets: Count = 2
+    least_promise: Positive = 3.0
+    named_from: Share = 0.9
+    reported_from: Share = 0.5
+    rival_from: Share = 0.02
 
 
 class MotionNoiseSettings(StrictModel):
-    """When the motion is said to have become more, or less, random.
+    """When the motion is said to have become more, or less, random: priors on the log of the factor.
 
     Attributes:
-        draws: resamples of runs.
-        clip_z: standardised residuals are clipped here.
-        clip_squared: squares over their expectation are clipped here.
-        sure_errors: standard errors of the log factor from which on it is a change.
-        unsure_errors: and below which it may be none,
-        largest_none: if its log is no larger than this.
-        least_change: of the factor that matters.
-        least_change_beside: likewise beside other causes, whose mechanisms are never exact, or a worse camera.
-        least_change_of_others: likewise of units that the reference does not know.
-        large_camera_share: of the reference's variance by which the camera's own noise must grow to count as worse.
-        largest_disagreement: of what motion ahead and turning say, over the change itself.
-        disagreement_errors: likewise in standard errors.
-        least_motion_share: of the variance that is taken for the motion's at least, however large the camera's.
-        least_uneven: share of the squares' variance that must depend on the situation for the change to be uneven.
+        usual_spread: standard deviation between sessions of one vehicle in which nothing is wrong.
+        usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact.
+        growth_spread: likewise for each unit of the log by which noise is expected to be smaller or larger than the
+            reference's, since vehicles move less or more: how it grows is known only so well.
+        changed_spread: where this is a cause.
     """
 
-    draws: Count = 1000
-    clip_z: Positive = 6.0
-    clip_squared: Positive = 12.0
-    sure_errors: Positive = 4.5
-    unsure_errors: Positive = 3.0
-    largest_none: Positive = 0.25
-    least_change: NonNegative = 0.04
-    least_change_beside: NonNegative = 0.35
-    least_change_of_others: NonNegative = 0.45
-    large_camera_share: Share = 0.2
-    largest_disagreement: Positive = 0.6
-    disagreement_errors: Positive = 3.0
-    least_motion_share: Share = 0.1
-    least_uneven: Share = 0.01
+    usual_spread: Positive = 0.03
+    usual_spread_beside: Positive = 0.15
+    growth_spread: Positive = 0.1
+    changed_spread: Positive = 0.7
 
 
 class VerdictSettings(StrictModel):
@@ -207,22 +206,16 @@ class VerdictSettings(StrictModel):
 
     Attributes:
         held_out_every: of so many runs the last is held out: nothing is fitted to it, gains are measured on it.
-        least_share: of what can be explained at all that the causes must explain, or a name would be made up.
-        most_left_over: of what the causes explain that may be left unexplained.
-        least_left_over: share of the variance that may be left however little they explain.
-        most_left_beside: like `most_left_over`, for several causes that are named although something is left.
-        largest_excess: of variance over the reference's that may be left.
-        clip_squared: squared residuals are clipped here when what is explained is counted.
+        alarm_nats: left over by the causes from which on something is wrong that nobody has named,
+        alarm_nats_a_transition: and for each transition.
+        most_left: of what the causes gain that may be left over: another form of the same causes leaves as much.
         gain_draws: bootstraps over runs for the gain's interval.
     """
 
     held_out_every: Annotated[int, Field(ge=2)] = 4
-    least_share: Share = 0.7
-    most_left_over: Share = 0.06
-    least_left_over: Share = 0.01
-    most_left_beside: Share = 0.1
-    largest_excess: NonNegative = 0.4
-    clip_squared: Positive = 36.0
+    alarm_nats: Positive = 15.0
+    alarm_nats_a_transition: NonNegative = 0.002
+    most_left: Share = 0.1
     gain_draws: Count = 1000
 
 
@@ -251,6 +244,8 @@ class DiagnosisSettings(StrictModel):
 
     reference: ReferenceSettings = Field(default_factory=ReferenceSettings)
     noise: NoiseSettings = Field(default_factory=NoiseSettings)
+    flexible: FlexibleSettings = Field(default_factory=FlexibleSettings)
+    likelihood: LikelihoodSettings = Field(default_factory=LikelihoodSettings)
     units: UnitSettings = Field(default_factory=UnitSettings)
     dependence: DependenceSettings = Field(default_factory=DependenceSettings)
     estimation: EstimationSettings = Field(default_factory=EstimationSettings)

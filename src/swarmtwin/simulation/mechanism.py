@@ -129,11 +129,6 @@ class Mechanism(StrictModel, ABC):
         inputs: parts of the measured situation that a simulation with it must be shown beside the command; those of
             commands before, where it has memory or a delay.
         is_smooth: whether the motion changes gradually with the parameters.
-        interval_widening: leave the default. By how much the present inference's intervals are wider than its
-            likelihood says, found on stand-ins in sessions other than those that coverage is reported for. It goes when
-            the state is carried through whole runs in the likelihood.
-        share_left_over: leave the default. Share of its gain in likelihood that may be left to causes that look like
-            it, for the same reason.
     """
 
     stage: ClassVar[Stage]
@@ -142,8 +137,6 @@ class Mechanism(StrictModel, ABC):
     parameters: ClassVar[Mapping[str, Parameter]]
     inputs: ClassVar[tuple[SituationPart, ...]] = ()
     is_smooth: ClassVar[bool] = True
-    interval_widening: ClassVar[float] = 1.1
-    share_left_over: ClassVar[float] = 0.04
 
     name: str
 

@@ -62,9 +62,16 @@ def remembered_after_long(mechanisms: Sequence[Mechanism], twists: BaseTwists, p
 def remembered_after_two(mechanisms: Sequence[Mechanism], twists: BaseTwists) -> dict[str, Tensor]:
     """Return what actuators remember that have long been given the command in place 2, and then that in place 1."""
     memory = remembered_after_long(mechanisms, twists, 2)
+    return end_memory(mechanisms, twists, memory, 1) if memory else {}
+
+
+def end_memory(
+    mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory, place: int = 0
+) -> dict[str, Tensor]:
+    """Return what actuators remember at the end of the period of the command in a place, from what they did before."""
     if set(memory) != {SETTING}:
-        return actuator_motion(mechanisms, twists, 1, memory).memory if memory else {}
-    following = _following(mechanisms, twists.moment, 1)  # settings change whatever they bring about
+        return actuator_motion(mechanisms, twists, place, memory).memory
+    following = _following(mechanisms, twists.moment, place)  # settings change whatever they bring about
     ends = (following.latency, 1.0) if following.latency > 0 else (1.0,)
     return {SETTING: following._replace(ends=ends).setting_at_end(twists, memory[SETTING])}
 

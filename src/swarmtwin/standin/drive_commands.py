@@ -4,13 +4,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from swarmtwin.geometry import compose
 from swarmtwin.robot import Robot
-from swarmtwin.standin.physics import Physics
+from swarmtwin.standin.physics import STAND_INS, Physics
 from swarmtwin.standin.streams import Streams
 
-CommandMode = Literal["uniform", "gentle", "held", "waypoints"]
+CommandMode = Literal["uniform", "gentle", "held", "waypoints", "smooth", "published"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Operator:
         choices: how many random commands there are to choose from where it steers.
         command_decimals: to which commands are rounded.
         held_periods: how long a command is held in the mode `held`.
+        smooth_periods: over how many periods commands resemble each other in the mode `smooth`.
         waypoint_periods: how long a place is steered for in the mode `waypoints`.
         look_ahead_periods: how far ahead a choice is judged.
         edge_share: of the arena's shorter side: nearer to the edge than this the operator steers back.
@@ -48,6 +50,7 @@ class Operator:
     choices: int = 8
     command_decimals: int = 1
     held_periods: int = 4
+    smooth_periods: float = 4.0
     waypoint_periods: int = 12
     look_ahead_periods: int = 3
     edge_share: float = 0.16
@@ -66,6 +69,13 @@ class Operator:
         if command_mode == "gentle":
             low, high = low + (high - low) / 4, high - (high - low) / 4
         share = streams.of("commands").random((run_count, step_count, vehicle_count, 1 + self.choices, len(low)))
+        if command_mode == "smooth":
+            share[:, :, :, 0] = self._smoothed(share[:, :, :, 0])
+        published = STAND_INS.plugin_class(robot.name).published if command_mode == "published" else None
+        if published is not None:
+            low, high = np.array([limits[:2] for limits in published]).T
+            levels = np.array([limits[2] or 1_000_000 for limits in published])
+            share = np.floor(share * levels) / (levels - 1)
         commands = np.round(low + (high - low) * share, self.command_decimals)
         wanted = commands[:, :, :, 0]
         if command_mode == "held":
@@ -96,6 +106,15 @@ class Operator:
         low, high = robot.arena_mm.low_mm + margin_mm, robot.arena_mm.high_mm - margin_mm
         free = np.all((position_mm > low) & (position_mm < high), axis=-1) & (not plan.always_steers)
         return np.where(free[..., None], plan.wanted[:, step], best)
+
+    def _smoothed(self, share: np.ndarray) -> np.ndarray:
+        """Return shares (R, T, V, m), still uniform over [0, 1], that change gradually from period to period."""
+        normal = ndtri(np.clip(share, 1e-9, 1.0 - 1e-9))
+        kept = np.exp(-1.0 / self.smooth_periods)
+        for step in range(1, normal.shape[1]):
+            normal[:, step] = kept * normal[:, step - 1] + np.sqrt(1.0 - kept**2) * normal[:, step]
+        smoothed: np.ndarray = ndtr(normal)
+        return smoothed
 
     def _margin_mm(self, robot: Robot) -> float:
         return self.edge_share * float(np.min(robot.arena_mm.high_mm - robot.arena_mm.low_mm))

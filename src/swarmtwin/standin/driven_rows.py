@@ -18,7 +18,8 @@ class DrivenRows:
         command: (m, ...) as sent.
         active_command: (m, ...) that held before.
         duration_s: (...) true lengths of the periods.
-        progress: (...) share of the session that has passed.
+        progress: (...) share of the session that has passed when they begin.
+        progress_after: (...) when they end.
         others: (2, 2, others, ...) x and y of the neighbours at start and end.
     """
 
@@ -27,6 +28,7 @@ class DrivenRows:
     active_command: np.ndarray
     duration_s: np.ndarray
     progress: np.ndarray
+    progress_after: np.ndarray
     others: np.ndarray
 
     @classmethod
@@ -37,8 +39,9 @@ class DrivenRows:
             _flat(driven.state[:, :, :-1, vehicle]),
             _flat(np.moveaxis(driven.command[:, :, vehicle], -1, 0)),
             _flat(driven.active_command[:, :, :-1, vehicle]),
-            _flat(np.diff(driven.time_s)),
+            _flat(driven.duration_s),
             _flat(driven.session.progress(driven.time_s[:, :-1])),
+            _flat(driven.session.progress(driven.time_s[:, 1:])),
             _flat(np.stack([others[..., :-1], others[..., 1:]])),
         )
 

@@ -30,6 +30,8 @@ class Placement:
         heading_rad: true headings.
         neighbour_x_mm: (others, ...) true positions of the other vehicles of the run; others = 0 where it is alone.
         neighbour_y_mm: (others, ...) likewise.
+        command: (m, ...) that holds, as it was sent; None where nobody has sent one.
+        previous_command: (m, ...) that held in the period before; None likewise.
     """
 
     progress: np.ndarray
@@ -38,6 +40,25 @@ class Placement:
     heading_rad: np.ndarray
     neighbour_x_mm: np.ndarray
     neighbour_y_mm: np.ndarray
+    command: np.ndarray | None = None
+    previous_command: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """What the actuators do in one time step; every array is (actuators, ...).
+
+    Attributes:
+        travel: of the wheels' rims, mm.
+        speed_before: of the rims, mm/s, at its beginning.
+        speed_after: at its end.
+        dt_s: its length, broadcasting to (...).
+    """
+
+    travel: np.ndarray
+    speed_before: np.ndarray
+    speed_after: np.ndarray
+    dt_s: Any
 
 
 class Effect(StrictModel):
@@ -45,9 +66,11 @@ class Effect(StrictModel):
 
     Attributes:
         ages: true if what it does changes as the session goes on.
+        memory: how many numbers `roll` remembers of each vehicle from one time step to the next.
     """
 
     ages: ClassVar[bool] = False
+    memory: ClassVar[int] = 0
 
     def on(self, robot: Robot, vehicle_count: int) -> Self:
         """Return the effect with the defaults that depend on the robot filled in.
@@ -81,6 +104,18 @@ class Effect(StrictModel):
         """Actuator: travel lost at each reversal, mm of a wheel's rim or rad of the fin."""
         return 0.0
 
+    def initial_memory(self, pose: np.ndarray) -> np.ndarray:
+        """Return what it remembers (memory, ...) of vehicles that are switched on at poses (3, ...)."""
+        return np.zeros((self.memory, *pose.shape[1:]), pose.dtype)
+
+    def aimed_speed(self, target: np.ndarray, speed: np.ndarray) -> np.ndarray:
+        """Actuator: the speed (actuators, ...) that wheels with `speed` now tend to where `target` is asked of them."""
+        return target
+
+    def roll(self, stroke: Stroke, memory: np.ndarray) -> tuple[Any, np.ndarray]:
+        """Actuator: factor on the wheels' travel, broadcasting to (actuators, ...), and what is remembered next."""
+        return 1.0, memory
+
     def trim_rad(self) -> float:
         """Actuator: angle of the fin when it is told to be straight."""
         return 0.0
@@ -105,9 +140,17 @@ class Effect(StrictModel):
         """Camera: factor on a point's distance from the image's centre; `radius` is 1 at the arena's corners."""
         return 1.0
 
+    def picture(self, pose: np.ndarray, progress: Any) -> np.ndarray:
+        """Camera: what else it makes of the poses (..., 3) of markers; `progress` broadcasts to (...)."""
+        return pose
+
     def durations(self, nominal: np.ndarray, rng: Rng) -> np.ndarray:
         """Clock: true lengths of the periods."""
         return nominal
+
+    def clock_rate(self, progress: Any) -> Any:
+        """Clock: how fast that of the recording goes; at more than 1 it shows more time than passes."""
+        return 1.0
 
 
 def thrust_columns(robot: Robot) -> tuple[str, ...]:

@@ -93,11 +93,11 @@ def _expected(
         ways.append((loss, previous_command))
     half = rng.standard_normal((physics.substeps, physics.noises, 1, state.shape[-1] // 2), np.float32)
     noise = np.stack([half, -half], axis=-1).reshape(*half.shape[:-1], -1)
-    before = conditions.seen(np.moveaxis(state[:3], 0, -1))
+    before = physics.seen(np.moveaxis(state[:3], 0, -1), rows.progress)
     mean: Any = 0.0
     for weight, held in ways:
         after = advance(physics, state, rows.period(held, previous_command), noise)
-        seen_after = conditions.seen(np.moveaxis(after[:3], 0, -1))
+        seen_after = physics.seen(np.moveaxis(after[:3], 0, -1), rows.progress_after)
         mean = mean + weight * displacement_between(before, seen_after).mean(axis=1)
     shortened = np.exp(-(physics.heading_noise_rad**2) / 2)
     return mean * np.array([shortened, shortened, 1.0], np.float32)

@@ -94,7 +94,7 @@ def contexts(driven: DrivenSession, vehicle: int) -> np.ndarray:
         columns += list(place_context(pose, pose[1].std()))
     if session.conditions.ages:
         columns.append(np.broadcast_to(driven.time_s[:, :-1], driven.command.shape[:2]).ravel())
-    if session.command_mode in ("held", "waypoints") or session.drive is not None:
+    if session.command_mode in ("held", "waypoints", "smooth") or session.drive is not None:
         columns += list(driven.command[:, :, vehicle].reshape(-1, driven.command.shape[-1]).T)
     return np.stack(columns, axis=1) if columns else np.empty((driven.command[:, :, 0, 0].size, 0))
 

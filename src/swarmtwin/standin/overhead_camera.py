@@ -73,6 +73,7 @@ class OverheadCamera:
         conditions: CameraConditions | None = None,
         layout: ArenaMarkers | None = None,
         rays_per_side: int = 4,
+        obstacles: Sequence[Sequence[float]] = (),
     ) -> None:
         """Hang the camera up.
 
@@ -82,6 +83,7 @@ class OverheadCamera:
             conditions: how it hangs; None: as the defaults say.
             layout: the markers on the floor; None: as the defaults say.
             rays_per_side: of the square of rays that a pixel averages over.
+            obstacles: x_mm, y_mm, radius_mm of round things on the floor: discs of one brightness, as flat as paper.
 
         Raises:
             UserError: the robot has no marker, or a vehicle's id is missing or taken.
@@ -103,6 +105,8 @@ class OverheadCamera:
         ]
         self._cables = _cables(self.size, self.conditions.cables, rng)
         self._scene = self._empty_scene(layout or ArenaMarkers(), finest_mm, rng)
+        for x_mm, y_mm, radius_mm in obstacles:
+            self._scene[np.linalg.norm(self._floor_mm - (x_mm, y_mm), axis=2) < radius_mm] = Paint.obstacle
         self._background = self._as_seen(self._scene, slice(None), slice(None))
 
     def render(

@@ -8,9 +8,11 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from swarmtwin.geometry import rotate
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.standin import robots
 from swarmtwin.standin.active_effects import ActiveEffects
+from swarmtwin.standin.character import Character
 from swarmtwin.standin.effect import Placement
 
 
@@ -49,6 +51,10 @@ class Physics(ABC):
         latent_draws: hidden states to average over for an expectation, a power of two.
         noise_draws: motions to average over where the state is known, even.
         bank_rows: hidden states, at least, to draw from for an expectation.
+        unruly: what is always there where the session's character is `unruly`.
+        published: (low, high) of each command column, and how many levels it has there (None: any), as the paper's
+            authors drove the robot; None: over its limits.
+        glued_mm: (V, 2) how far ahead of each vehicle's centre and to its left its marker always sits.
     """
 
     unit: Unit
@@ -64,21 +70,32 @@ class Physics(ABC):
     latent_draws: ClassVar[int]
     noise_draws: ClassVar[int] = 32
     bank_rows: ClassVar[int] = 131_072
+    unruly: ClassVar[Character] = Character()
+    published: ClassVar[tuple[tuple[float, float, int | None], ...] | None] = None
 
     def __init__(self, unit: Unit, conditions: ActiveEffects) -> None:
         self.unit = unit
         self.conditions = conditions
+        self.glued_mm = np.zeros((1, 2))
 
     @classmethod
     def of(cls, vehicles: Sequence[str], conditions: ActiveEffects, dtype: type = np.float64) -> Self:
         """Return the physics of the units with these ids, under conditions; properties are of a floating `dtype`."""
-        return cls(cls.unit_class.of(vehicles, dtype), conditions)
+        physics = cls(cls.unit_class.of(vehicles, dtype), conditions)
+        physics.glued_mm = _glued_mm(conditions, vehicles).astype(dtype)
+        return physics
+
+    def seen(self, pose: np.ndarray, progress: Any = 0.0) -> np.ndarray:
+        """Return true poses (..., V, 3) as a camera without noise would measure them; `progress` is (..., V)."""
+        if self.glued_mm.any():
+            offset = np.broadcast_to(self.glued_mm, pose[..., :2].shape)
+            pose = np.concatenate([pose[..., :2] + rotate(offset, pose[..., 2]), pose[..., 2:]], axis=-1)
+        return self.conditions.seen(pose, progress)
 
     def at_rest(self, pose: np.ndarray) -> np.ndarray:
-        """Return the states (states, ...) of vehicles standing at poses (3, ...)."""
-        state = np.zeros((len(self.states), *pose.shape[1:]), pose.dtype)
-        state[:3] = pose
-        return state
+        """Return the states (states, ...) of vehicles standing at poses (3, ...), and at their end effects' memory."""
+        still = np.zeros((len(self.states) - 3, *pose.shape[1:]), pose.dtype)
+        return np.concatenate([pose, still, self.conditions.initial_memory(pose)])
 
     @abstractmethod
     def target(self, command: np.ndarray, strength: Any) -> np.ndarray:
@@ -125,7 +142,8 @@ class Period:
             x_mm, y_mm = others_in_run(state[0]), others_in_run(state[1])
         else:
             x_mm, y_mm = self.others[0] + elapsed * (self.others[1] - self.others[0])
-        return Placement(self.progress, state[0], state[1], state[2], x_mm, y_mm)
+        sent = self.command, self.previous_command
+        return Placement(self.progress, state[0], state[1], state[2], x_mm, y_mm, *sent)
 
 
 def others_in_run(values: np.ndarray) -> np.ndarray:
@@ -165,6 +183,16 @@ def take_up(slack: np.ndarray, travel: np.ndarray, width: float) -> tuple[np.nda
     """Return the slack left in a gear of backlash `width`, and the part of `travel` that comes through."""
     taken = np.clip(slack + travel, 0.0, width)
     return taken, travel - (taken - slack)
+
+
+def _glued_mm(conditions: ActiveEffects, vehicles: Sequence[str]) -> np.ndarray:
+    """Return where the markers of vehicles (V, 2) sit by the robot's character and the hand that glued them."""
+    character = conditions.character
+    offset_mm = np.tile(np.array(character.marker_mm, float), (len(vehicles), 1))
+    for index, vehicle in enumerate(vehicles):
+        rng = np.random.default_rng(zlib.crc32(f"{conditions.robot.name}/{vehicle}/marker".encode()))
+        offset_mm[index] += character.marker_spread_mm * rng.standard_normal(2)
+    return offset_mm
 
 
 def fabricate(

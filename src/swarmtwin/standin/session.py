@@ -9,6 +9,7 @@ from swarmtwin.errors import UserError, near_miss
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import Robot
 from swarmtwin.standin.active_effects import ActiveEffects
+from swarmtwin.standin.character import CharacterName
 from swarmtwin.standin.drive_commands import CommandMode, Operator
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.physics import STAND_INS, Period, Physics, advance
@@ -32,6 +33,8 @@ class StandInSession:
         planned_runs: runs after which the session ends by plan (ageing counts on it); None means `runs`.
         operator: how the operator drives.
         pause_s: from the nominal end of a run to the beginning of the next.
+        character: how unruly the vehicles are at all times, effects or not.
+        starts_s: what the recording's clock shows when the session begins.
         repeats: how many times over the whole session is driven side by side, each with its own chances.
     """
 
@@ -47,11 +50,16 @@ class StandInSession:
     planned_runs: int | None = None
     operator: Operator = field(default_factory=Operator)
     pause_s: float = 5.0
+    character: CharacterName = "regular"
+    starts_s: float = 0.0
     repeats: int = 1
     conditions: ActiveEffects = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "conditions", ActiveEffects(self.robot, self.effects))
+        character = None
+        if self.character == "unruly":
+            character = STAND_INS.plugin_class(self.robot.name).unruly
+        object.__setattr__(self, "conditions", ActiveEffects(self.robot, self.effects, character))
 
     def physics(self, vehicles: Sequence[str], dtype: type = np.float64) -> Physics:
         """Return the physics of some vehicles under this session's conditions."""
@@ -74,7 +82,7 @@ class StandInSession:
 
     def progress(self, time_s: np.ndarray) -> np.ndarray:
         """Return the share of the session that has passed, in [0, 1]."""
-        return np.clip(time_s / self.length_s, 0.0, 1.0)
+        return np.clip((time_s - self.starts_s) / self.length_s, 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -83,7 +91,7 @@ class DrivenSession:
 
     Attributes:
         session: what was recorded.
-        time_s: (R, T + 1) since the session began.
+        time_s: (R, T + 1) as the recording's clock shows it.
         command: (R, T, V, m) as sent.
         pose: (R, T + 1, V, 3) as the camera measured it, heading in (−π, π]; NaN where it saw no marker.
         active_command: (m, R, T + 1, V) that really held before each row: what a lost or late command leaves in force.
@@ -96,6 +104,12 @@ class DrivenSession:
     pose: np.ndarray
     active_command: np.ndarray
     state: np.ndarray
+
+    @property
+    def duration_s(self) -> np.ndarray:
+        """True lengths (R, T) of the periods, which a clock that goes wrong does not show."""
+        lengths: np.ndarray = np.diff(self.time_s)
+        return lengths / self.session.conditions.clock_rate(self.session.progress(self.time_s[:, :-1]))
 
     def first_runs(self, runs: int) -> "DrivenSession":
         """Return the first runs alone."""
@@ -131,10 +145,13 @@ def drive_session(session: StandInSession, purpose: str = "session") -> DrivenSe
     physics = session.physics(session.vehicles)
     shape = session.shape
     operator = session.operator
-    plan = operator.plan(session.robot, shape, session.command_mode, _played(session), streams)
-    time_s, duration_s = _clock(session, streams)
+    plan = operator.plan(session.robot, shape, session.command_mode, played_commands(session), streams)
+    time_s, duration_s = draw_clock(session, streams)
     noise_shape = (*shape[:2], physics.substeps, physics.noises, shape[2])
     noise = streams.of("motion").standard_normal(noise_shape, np.float32)
+    character = session.conditions.character
+    tail = character.heavy_tail(character.motion_freedom, shape, streams, "motion's tail")
+    noise *= tail.astype(np.float32)[:, :, None, None]
     lost = streams.of("link").random(shape) < session.conditions.loss_probability
 
     state = physics.at_rest(np.moveaxis(plan.start, -1, 0))
@@ -152,29 +169,43 @@ def drive_session(session: StandInSession, purpose: str = "session") -> DrivenSe
         actives.append(active)
         sent.append(command)
     true = np.stack(states, axis=2)
-    pose = measured_poses(session, physics, np.moveaxis(true[:3], 0, -1), streams)
+    shown = session.progress(time_s)[:, :, None]
+    pose = measured_poses(session, physics, np.moveaxis(true[:3], 0, -1), streams, shown)
     return DrivenSession(session, time_s, np.stack(sent, axis=1), pose, np.stack(actives, axis=2), true)
 
 
-def measured_poses(session: StandInSession, physics: Physics, pose: np.ndarray, streams: Streams) -> np.ndarray:
-    """Return true poses (R, T + 1, V, 3) as the camera measures them: scaled, noisy, some not at all."""
+def measured_poses(
+    session: StandInSession, physics: Physics, pose: np.ndarray, streams: Streams, progress: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return true poses (..., V, 3) as the camera measures them: scaled, noisy, some not at all.
+
+    Args:
+        session: what is recorded.
+        physics: of its vehicles.
+        pose: (..., V, 3), such as (R, T + 1, V, 3).
+        streams: of the camera's noise.
+        progress: share of the session that has passed, broadcasting to (..., V).
+    """
     noise = streams.of("camera").standard_normal(pose.shape)
+    character = session.conditions.character
+    noise *= character.heavy_tail(character.camera_freedom, pose.shape[:-1], streams, "camera's tail")[..., None]
     size = np.array([physics.position_noise_mm, physics.position_noise_mm, physics.heading_noise_rad])
-    measured = session.conditions.seen(pose) + size * noise
+    measured = physics.seen(pose, progress) + size * noise
     measured[..., 2] = wrap_angle(measured[..., 2])
     missed = streams.of("lost poses").random(pose.shape[:-1]) < session.lost_poses
     measured[missed] = np.nan
     return measured
 
 
-def _clock(session: StandInSession, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
+def draw_clock(session: StandInSession, streams: Streams) -> tuple[np.ndarray, np.ndarray]:
     """Return when rows are taken (R, T + 1) and how long periods last (R, T), in s."""
     run_count, step_count, _ = session.shape
     nominal = np.full((run_count, step_count), session.robot.period_s)
-    duration_s = session.conditions.durations(nominal, streams.of("clock"))
-    since_start = np.concatenate([np.zeros((run_count, 1)), np.cumsum(duration_s, axis=1)], axis=1)
+    shown_s = session.conditions.durations(nominal, streams.of("clock"))
+    since_start = np.concatenate([np.zeros((run_count, 1)), np.cumsum(shown_s, axis=1)], axis=1)
     run_start_s = _run_starts(session, since_start[:, -1].reshape(session.repeats, session.runs))
-    return run_start_s.reshape(-1, 1) + since_start, duration_s
+    time_s = session.starts_s + run_start_s.reshape(-1, 1) + since_start
+    return time_s, shown_s / session.conditions.clock_rate(session.progress(time_s[:, :-1]))
 
 
 def _run_starts(session: StandInSession, length_s: np.ndarray) -> np.ndarray:
@@ -186,7 +217,7 @@ def _run_starts(session: StandInSession, length_s: np.ndarray) -> np.ndarray:
     return start_s
 
 
-def _played(session: StandInSession) -> np.ndarray | None:
+def played_commands(session: StandInSession) -> np.ndarray | None:
     """Return the drive cut into runs (R, T, m), from its beginning again at its end; None if the operator drives."""
     if session.drive is None:
         return None

@@ -1,5 +1,7 @@
 """How a policy did on real vehicles, beside roll-outs in the simulation from the very same start."""
 
+import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,28 +20,72 @@ from swarmtwin.world.rollout import NEVER, Rollout, figures_of, play
 from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task
 
+log = logging.getLogger(__name__)
 
-def scenario_for(task: Task, start: np.ndarray, target: Any, seed: int) -> Scenario:
-    """Return what is asked of vehicles that stand at (V, 3): targets as given, or drawn by the task with a seed.
+
+def check_obstacles(task: Task, obstacles: Sequence[Sequence[float]]) -> None:
+    """Check that a task's obstacles are told, each (x_mm, y_mm, radius_mm), and that a policy can know such ones.
 
     Raises:
-        UserError: targets are not as many as the task has, or not all within the arena; or the task has obstacles and
-            no target is given, so that nobody could know where the real ones stand.
+        UserError: they are not as many as the task has, or one is not within the arena.
     """
-    drawn = task.draw(np.random.default_rng(seed), 1)
-    if drawn.obstacles.shape[1]:
-        raise UserError(
-            f"task {task.config.name!r} has obstacles, which cannot be told of real ones yet: choose another"
-        )
-    targets = drawn.targets
+    expected = task.draw(np.random.default_rng(0), 1).obstacles.shape[1]
+    if len(obstacles) != expected:
+        where = "say where they stand: obstacles=[x, y, radius] in mm" if expected else "leave obstacles= out"
+        raise UserError(f"task {task.config.name!r} has {expected} obstacles, {len(obstacles)} are told: {where}")
+    low, high = task.arena.low_mm, task.arena.high_mm
+    for x_mm, y_mm, radius_mm in obstacles:
+        if not ((low <= (x_mm, y_mm)) & ((x_mm, y_mm) <= high)).all():
+            raise UserError(f"obstacles: {[x_mm, y_mm]} is not within the arena, {low.tolist()} to {high.tolist()} mm")
+        least_mm, most_mm = task.config.radius_mm
+        if not least_mm <= radius_mm <= most_mm:
+            log.warning(
+                "the policy has learned with obstacles of a radius from %g to %g mm, and this one has %g mm",
+                least_mm,
+                most_mm,
+                radius_mm,
+            )
+
+
+def scenario_for(
+    task: Task, start: np.ndarray, target: Any, obstacles: Sequence[Sequence[float]], seed: int
+) -> Scenario:
+    """Return what is asked of vehicles that stand at (V, 3): targets as given, or drawn by the task with a seed.
+
+    Args:
+        task: what is asked.
+        start: (V, 3) where the vehicles stand.
+        target: one or several; None: drawn, beside the obstacles.
+        obstacles: (x_mm, y_mm, radius_mm) of those that stand there.
+        seed: of what is drawn.
+
+    Raises:
+        UserError: targets are not as many as the task has, not all within the arena, or not beside the obstacles.
+    """
+    stand = np.array(obstacles, float).reshape(-1, 3)
+    drawn = task.draw(np.random.default_rng(seed), 1 if not len(stand) else 500)
+    free = _is_free(task, drawn.targets, stand)
     if target is not None:
         targets = np.array(target, float).reshape(-1, 2)[None]
-        if targets.shape != drawn.targets.shape:
+        if targets.shape != drawn.targets[:1].shape:
             raise UserError(f"target: task {task.config.name!r} has {task.legs} targets, {targets.shape[1]} are given")
         low, high = task.arena.low_mm, task.arena.high_mm
         if not ((targets >= low) & (targets <= high)).all():
             raise UserError(f"target={target} is not within the arena, {low.tolist()} to {high.tolist()} mm")
-    return Scenario.beginning(start[None], targets)
+        if not _is_free(task, targets, stand)[0]:
+            raise UserError(f"target={target}: no vehicle can be there without touching the obstacle: give another")
+    elif not free.any():
+        raise UserError("no target can be drawn beside the obstacles: give target=[x, y]")
+    else:
+        targets = drawn.targets[np.flatnonzero(free)[:1]]
+    return Scenario.beginning(start[None], targets, stand[None])
+
+
+def _is_free(task: Task, targets: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
+    """Return whether vehicles can be at all targets (W, G, 2) without touching one of the obstacles (O, 3), (W,)."""
+    away = np.linalg.norm(targets[:, :, None] - obstacles[:, :2], axis=-1) - obstacles[:, 2]
+    free: np.ndarray = np.all(away > max(task.robot.vehicle_size_mm) / 2, axis=(1, 2))
+    return free
 
 
 def imagined(

@@ -13,24 +13,26 @@ import numpy as np
 from swarmtwin import __version__
 from swarmtwin.deploy.camera.camera import Camera
 from swarmtwin.deploy.camera.opening import open_camera
-from swarmtwin.deploy.control.deployment import Deployment, Plan
+from swarmtwin.deploy.control.deployment import Deployment
 from swarmtwin.deploy.control.deployment_recording import write_about, write_deployment
 from swarmtwin.deploy.control.observer import Tracks
 from swarmtwin.deploy.control.outcome import Outcome
+from swarmtwin.deploy.control.plan import Plan
+from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
 from swarmtwin.deploy.control.timing import median_and_p99
 from swarmtwin.deploy.link.broker import Broker, BrokerOptions
 from swarmtwin.deploy.link.link import Link
 from swarmtwin.deploy.link.mqtt_link import connect
 from swarmtwin.deploy.live_view.view_process import LiveView, Scene
 from swarmtwin.deploy.tracking.calibration import Calibration
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, loaded_or_fitted
 from swarmtwin.deploy.tracking.calibration_pictures import take_pictures
 from swarmtwin.deploy.tracking.tracker import Tracker
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS
 from swarmtwin.markers import marker_of
 from swarmtwin.recordings.recording import Header
-from swarmtwin.robot import Arena, Robot, StrictModel
+from swarmtwin.robot import Arena, Positive, Robot, Seed, StrictModel
 from swarmtwin.world.rendering.canvas import COLOURS
 
 log = logging.getLogger(__name__)
@@ -42,6 +44,45 @@ class PageOptions(StrictModel):
     show: bool
     host: str
     port: int
+
+
+class DrivingOptions(StrictModel):
+    """Options of every command that drives real vehicles.
+
+    Attributes:
+        robot: what is driven.
+        broker: through which commands travel.
+        camera: a number, or the address of an MJPEG stream.
+        calibration: the file that `calibrate` made; None: the arena's markers calibrate.
+        camera_height_mm: of the lens above the floor, measured by hand; None: nobody has.
+        camera_above_mm: the point of the floor below the lens, likewise.
+        safety: limits and margins.
+        timing: when the controller acts.
+        page: the live view.
+        seed: of all chance.
+        recover: the output of a deployment that was killed, whose recording is to be finished instead of driving.
+        output: folder of the recording; None: the next number.
+        overwrite: whether a folder that swarmtwin made is replaced.
+    """
+
+    robot: Robot
+    broker: BrokerOptions
+    camera: str
+    calibration: Path | None
+    camera_height_mm: Positive | None
+    camera_above_mm: tuple[float, float] | None
+    safety: SafetySettings
+    timing: TimingSettings
+    page: PageOptions
+    seed: Seed
+    recover: Path | None
+    output: Path | None
+    overwrite: bool
+
+    @property
+    def by_hand(self) -> MeasuredByHand:
+        """Where the camera hangs, as far as somebody has measured it."""
+        return MeasuredByHand(self.camera_height_mm, self.camera_above_mm)
 
 
 class Eyes(NamedTuple):
@@ -70,7 +111,14 @@ def open_link(robot: Robot, broker: BrokerOptions, vehicles: Sequence[str], name
     }
 
 
-def open_eyes(robot: Robot, vehicles: Sequence[str], arena: Arena, camera: str, calibration: Path | None) -> Eyes:
+def open_eyes(
+    robot: Robot,
+    vehicles: Sequence[str],
+    arena: Arena,
+    camera: str,
+    calibration: Path | None,
+    by_hand: MeasuredByHand,
+) -> Eyes:
     """Open a camera, calibrate it where nobody has, and prepare to find the vehicles on its pictures.
 
     Raises:
@@ -79,11 +127,7 @@ def open_eyes(robot: Robot, vehicles: Sequence[str], arena: Arena, camera: str, 
     eyes = open_camera(camera)
     try:
         pictures = take_pictures(eyes)
-        if calibration is None:
-            found = fit_calibration(pictures, robot)
-            log.info("calibrated by the arena's markers: %s", found.summary(robot))
-        else:
-            found = Calibration.load(calibration)
+        found = loaded_or_fitted(calibration, lambda: pictures, robot, by_hand)
         _check_arena(found, arena)
         tracker = Tracker(found, robot, vehicles)
         tracker.check(pictures[-1])

@@ -1,5 +1,6 @@
 """Stand-ins are driven and filmed: what a camera and a link would have seen becomes a recording."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,23 +18,27 @@ from swarmtwin.transitions import from_recording
 
 
 def record(
-    session: StandInSession, transitions: int | None = None, *, most_rows: int = 20_000_000
+    session: StandInSession,
+    transitions: int | None = None,
+    *,
+    drive: Callable[[StandInSession], DrivenSession] = drive_session,
+    most_rows: int = 20_000_000,
 ) -> tuple[DrivenSession, Recording]:
     """Drive and film a session, and return it with all that the stand-in knows, and as a laboratory would have it.
 
     With `transitions`, as many runs are driven as it takes until so many are usable; the last one ends there. A
-    recording never gets longer than `most_rows`.
+    recording never gets longer than `most_rows`. `drive` is what moves the vehicles: formulas, or another engine.
 
     Raises:
-        UserError: so few are usable that the recording would be too long.
+        UserError: so few are usable that the recording would be too long, or the engine refuses the session.
     """
     if transitions is None:
-        footage = drive_session(session)
+        footage = drive(session)
         return footage, _recording(footage)
     spare_runs = 2  # lost poses make some rows unusable: with a per cent of the runs more, one pass nearly always does
     session = replace(session, runs=session.runs + spare_runs + session.runs // 100)
     while True:
-        footage = drive_session(session)
+        footage = drive(session)
         recording = _recording(footage)
         usable, counts = from_recording(recording)
         if counts.kept >= transitions:

@@ -16,7 +16,7 @@ from swarmtwin.deploy.control.observer import Observer, SeenPose
 from swarmtwin.deploy.control.outcome import Ending, Outcome, Watchmen
 from swarmtwin.deploy.control.safety import Decision, SafetyFilter
 from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings
-from swarmtwin.deploy.control.stop_conditions import StopConditions, standing
+from swarmtwin.deploy.control.stop_conditions import StopConditions, all_standing
 from swarmtwin.deploy.control.timing import Ticker
 from swarmtwin.deploy.link.link import Link, LinkLostError
 from swarmtwin.geometry import displacement_between
@@ -160,7 +160,7 @@ class Controller:
         reason = (
             self.conditions.of_pictures(now_s, self.observer)
             or self.conditions.of_poses(now_s, self.observer.newest(), self.observer.doubts)
-            or self.conditions.of_link(now_s, self.link)
+            or self.conditions.of_link(self.link)
             or self.conditions.of_obedience(now_s, self.observer)
         )
         return self._end("stopped", reason) if reason else True
@@ -286,7 +286,7 @@ class Controller:
                     sent_s = self.link.send(zeros)
                     outcome.stopped_s = min(sent_s, outcome.stopped_s) if outcome.stopped_s > 0 else sent_s
                     self.journal.write("stop", sent_s=sent_s, sent=zeros, reason=outcome.reason)
-            outcome.is_standing = self._are_standing(now_s, begun_s)
+            outcome.is_standing = all_standing(self.observer, self.vehicles, settings, now_s, begun_s)
             if outcome.is_standing or now_s > begun_s + settings.standstill_wait_s or not self._has_sent:
                 break
             time.sleep(min(0.02, settings.zeros_every_s))
@@ -296,9 +296,3 @@ class Controller:
             )
         if self._has_sent and not outcome.is_standing:
             log.error("the vehicles could not be seen to stand: look at them")
-
-    def _are_standing(self, now_s: float, begun_s: float) -> bool:
-        from_s = max(now_s - self.settings.standstill_s - 0.1, begun_s)
-        if now_s - begun_s < self.settings.standstill_s:
-            return False
-        return all(standing(self.observer.since(vehicle, from_s), self.settings) for vehicle in self.vehicles)

@@ -9,7 +9,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,79 +24,20 @@ from swarmtwin.deploy.control.effect_time import EffectTimePredictor
 from swarmtwin.deploy.control.expectation import Expectation
 from swarmtwin.deploy.control.heartbeat import Heartbeat, Phase
 from swarmtwin.deploy.control.interrupts import Interrupts
-from swarmtwin.deploy.control.journal import JOURNAL, Journal, reserved_bytes
+from swarmtwin.deploy.control.journal import JOURNAL, Journal
 from swarmtwin.deploy.control.look_ahead import LookAhead
 from swarmtwin.deploy.control.observer import Observer, Tracks
 from swarmtwin.deploy.control.outcome import Outcome, Watchmen
+from swarmtwin.deploy.control.plan import Plan
 from swarmtwin.deploy.control.safety import SafetyFilter
-from swarmtwin.deploy.control.settings import SafetySettings, TimingSettings, WatchSettings
 from swarmtwin.deploy.control.stop_conditions import StopConditions
 from swarmtwin.deploy.control.supervisor import Orders, SupervisorProcess
 from swarmtwin.deploy.link.link import Link
 from swarmtwin.deploy.live_view.view_process import LiveView
 from swarmtwin.deploy.tracking.sighting import Sighting
 from swarmtwin.errors import UserError
-from swarmtwin.robot import Arena, Robot
-from swarmtwin.simulation.simulation import Simulation
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What a deployment is to be.
-
-    Attributes:
-        robot: what is driven, with its link and marker.
-        vehicles: ids, in order.
-        arena: whose border is the fence.
-        simulation: that predicts, looks ahead and is compared with.
-        link: how a supervisor connects, as `connect_by` wants it; None: there is no supervisor, as in some tests.
-        collision_mm: what the task calls a collision of two centres; None: it knows none.
-        periods: that are planned, in all runs together.
-        watches: whether vehicles are compared with the simulation.
-        safety: limits and margins.
-        timing: when it acts.
-        watch: how it compares.
-        pictures_per_s: at most, for the space that is reserved.
-        wait_s: for how long all vehicles are waited for at the start.
-    """
-
-    robot: Robot
-    vehicles: tuple[str, ...]
-    arena: Arena
-    simulation: Simulation
-    link: Mapping[str, Any] | None
-    collision_mm: float | None
-    periods: int
-    watches: bool = True
-    safety: SafetySettings = field(default_factory=SafetySettings)
-    timing: TimingSettings = field(default_factory=TimingSettings)
-    watch: WatchSettings = field(default_factory=WatchSettings)
-    pictures_per_s: float = 60.0
-    wait_s: float = 10.0
-
-    def with_supervisor(self, link: Mapping[str, Any]) -> "Plan":
-        """Return the plan with a supervisor that connects as told."""
-        return replace(self, link=link)
-
-    @property
-    def separation_mm(self) -> float:
-        """Which distance of two centres commands must keep."""
-        usual_mm = 1.3 * max(self.robot.vehicle_size_mm) if self.collision_mm is None else 1.1 * self.collision_mm
-        return self.safety.separation_mm or usual_mm
-
-    @property
-    def too_near_mm(self) -> float:
-        """At which distance of two centres all stop."""
-        usual_mm = min(self.robot.vehicle_size_mm) if self.collision_mm is None else 0.9 * self.collision_mm
-        return self.safety.too_near_mm or usual_mm
-
-    @property
-    def journal_bytes(self) -> int:
-        """How much space the journal may need."""
-        duration_s = (self.periods + 60) * self.robot.period_s + self.wait_s + 120.0
-        return reserved_bytes(len(self.vehicles), self.periods + 2000, int(duration_s * self.pictures_per_s))
 
 
 class Deployment:
@@ -213,6 +153,7 @@ class Deployment:
             plan.safety,
             plan.separation_mm,
             self._as_sent,
+            plan.obstacle_table,
         )
         self._warm_up(safety)
         controller = Controller(
@@ -240,7 +181,7 @@ class Deployment:
 
     def _conditions(self) -> StopConditions:
         plan = self.plan
-        return StopConditions(plan.robot, plan.arena, plan.vehicles, plan.safety, plan.too_near_mm)
+        return StopConditions(plan.robot, plan.arena, plan.vehicles, plan.safety, plan.too_near_mm, plan.obstacle_table)
 
     def _as_sent(self, command: np.ndarray) -> np.ndarray:
         written = getattr(self.link, "message_format", None)

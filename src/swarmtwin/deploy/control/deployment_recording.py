@@ -17,7 +17,6 @@ from swarmtwin.robot import POSE_COLUMNS, Robot
 
 ABOUT = "deployment.yaml"
 SUPERVISOR_LOG = "supervisor.jsonl"
-NOT_NOTED = "sent or about to be when the controller was killed"
 
 
 @dataclass
@@ -82,7 +81,7 @@ def read_runs(folder: Path) -> list[Run]:
         elif kind == "stop":
             _add_all(run, line["sent_s"], line["sent"], f"stop: {line['reason']}")
     if pending is not None:
-        _add_all(runs[-1], pending["now_s"], pending["sent"], NOT_NOTED)
+        _add_all(runs[-1], pending["now_s"], pending["sent"], "sent or about to be when the controller was killed")
     if runs:
         _add_supervisors_stops(runs[-1], folder / SUPERVISOR_LOG)
     for run in runs:

@@ -11,9 +11,12 @@ e is the likelihood ratio of the innovation; one more takes what is none of them
 p-value (the calibrator ∫κp^(κ−1)dκ of Vovk and Sellke). Since each e is 1 on average where nothing is wrong, the
 detectors' mean reaches A no earlier than after A periods on average (Shin, Ramdas and Rinaldo, E-detectors, 2022).
 
-What was wrong from the beginning is taken for a unit's own difference at first. The estimate of that is a martingale
-where the prior holds; it passes the distance at which fabrication is no explanation any more with a probability that is
-at most twice that of a unit to lie there.
+What was wrong from the beginning is taken for a unit's own difference at first. So each of the same changes is also
+weighed from the first period on, by the likelihood ratio of all that was measured with the unit's prior centred there
+instead of at no difference: a filter with the same gains, and another mean. That pools what speeds and turns say alike.
+The mean of these ratios is a martingale of mean 1 where the prior holds, so it ever reaches 1/α with a probability of
+at most α (Ville). The estimate of the difference is a martingale, too; it passes the distance at which fabrication is
+no explanation any more with a probability that is at most twice that of a unit to lie there.
 """
 
 import math
@@ -66,6 +69,10 @@ class Expectation:
         self._alternatives = _alternatives(differences, settings.changes)
         in_all = 2.0 * 2.0 * differences  # two sides, and the martingale's way there (reflection)
         self._strange_unit = spread * stats.norm.isf(settings.unit_alarm_periods / self.limit / in_all)
+        self._strange_ratio = self.limit / settings.unit_alarm_periods
+        self._since_start = np.zeros((count, differences + 3, self._alternatives.shape[1]))  # less what is learned
+        self._since_start[:, :differences] = self._alternatives
+        self._log_ratio = np.zeros((count, self._alternatives.shape[1]))
         self._detectors = np.zeros((count, self._alternatives.shape[1] + len(settings.lag_shares) + 1))
 
     def update(self, expected: np.ndarray, measured: np.ndarray, duration_s: np.ndarray) -> list[int]:
@@ -92,6 +99,7 @@ class Expectation:
         z = np.linalg.solve(root, innovation[..., None])[..., 0]
         self.z = np.where(known[:, None], z, np.nan)
         evidence = self._evidence(z, np.linalg.solve(root, self._shifts(twist, shows)))
+        self._weigh_since_start(known, z, np.linalg.solve(root, shows @ self._since_start))
         grown = ((1 + self._detectors) * evidence).clip(max=1e300)
         self._detectors = np.where(known[:, None], grown, self._detectors)
         self._twist_before = np.where(known[:, None], twist, np.nan)
@@ -112,6 +120,7 @@ class Expectation:
     def restart(self, vehicles: Sequence[int]) -> None:
         """Begin to watch some vehicles (indices) anew, with what is known of their units."""
         self._detectors[vehicles] = 0.0
+        self._log_ratio[vehicles] = -np.inf  # of what was wrong from the beginning there is but one beginning
         self._is_under[vehicles] = False
 
     @property
@@ -139,12 +148,19 @@ class Expectation:
 
         The densities are those of t distributions as wide that in the middle they fall as a normal one does.
         """
-        tails = self._settings.tails
-        width = tails + 3.0
+        other = _e_value(stats.f.sf((z**2).sum(axis=1)[:, None] / 3, 3, self._settings.tails))
+        return np.concatenate([np.exp(self._log_ratios(z, shifts)), other], axis=1)
+
+    def _log_ratios(self, z: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+        """Return the logarithms (V, A) of likelihood ratios of innovations (V, 3), given their shifts (V, 3, A)."""
+        width = self._settings.tails + 3.0
         here, there = (z**2).sum(axis=1)[:, None], ((z[..., None] - shifts) ** 2).sum(axis=1)
-        ratio = ((1 + here / width) / (1 + there / width)) ** (width / 2)
-        other = _e_value(stats.f.sf(here / 3, 3, tails))
-        return np.concatenate([ratio, other], axis=1)
+        ratios: np.ndarray = width / 2 * (np.log1p(here / width) - np.log1p(there / width))
+        return ratios
+
+    def _weigh_since_start(self, known: np.ndarray, z: np.ndarray, shifts: np.ndarray) -> None:
+        """Weigh what may have been wrong from the beginning by innovations (V, 3), given their shifts (V, 3, A)."""
+        self._log_ratio = np.where(known[:, None], self._log_ratio + self._log_ratios(z, shifts), self._log_ratio)
 
     def _unit_changes(self, twist: np.ndarray) -> np.ndarray:
         """Return by what twists (V, 3) change: per unit of each difference, and by the error, (V, 3, D + 3)."""
@@ -182,18 +198,23 @@ class Expectation:
     @property
     def _is_strange(self) -> np.ndarray:
         """Whether a vehicle differs from the one recorded as fabrication does not explain, (V,)."""
-        strange: np.ndarray = np.any(np.abs(self._hidden[:, : self._differences]) > self._strange_unit, axis=1)
-        return strange
+        estimated: np.ndarray = np.any(np.abs(self._hidden[:, : self._differences]) > self._strange_unit, axis=1)
+        ratio = np.exp(self._log_ratio.clip(max=700)).mean(axis=1)
+        return estimated | (ratio >= self._strange_ratio)
 
     def _pass_period(self, known: np.ndarray) -> None:
         kept = self._kept * self._covariance * self._kept[:, None] + self._drifts
         self._hidden = np.where(known[:, None], self._kept * self._hidden, self._hidden)
+        since_start = self._kept[:, None] * self._since_start
+        self._since_start = np.where(known[:, None, None], since_start, self._since_start)
         self._covariance = np.where(known[:, None, None], kept, self._covariance)
 
     def _learn_unit(self, known: np.ndarray, shows: np.ndarray, covariance: np.ndarray, innovation: np.ndarray) -> None:
         gain = np.linalg.solve(covariance, shows @ self._covariance).transpose(0, 2, 1)  # (V, D + 3, 3)
         learned = self._hidden + (gain @ innovation[..., None])[..., 0]
         certain = self._covariance - gain @ shows @ self._covariance
+        left = self._since_start - gain @ (shows @ self._since_start)
+        self._since_start = np.where(known[:, None, None], left, self._since_start)
         self._hidden = np.where(known[:, None], learned, self._hidden)
         self._covariance = np.where(known[:, None, None], certain, self._covariance)
 

@@ -5,7 +5,7 @@ Every field is written by one side alone and read whole; nobody ever waits for a
 
 import mmap
 import struct
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from pathlib import Path
 from typing import Self
 
@@ -17,6 +17,14 @@ class Phase(IntEnum):
     DRIVING = 1
     STOPPING = 2
     ENDED = 3
+
+
+class LatchReason(StrEnum):
+    """Why the supervisor has stopped the vehicles."""
+
+    FROZE = "the controller froze"
+    DIED = "the controller died"
+    ASKED = "the controller asked for it"
 
 
 class Heartbeat:
@@ -77,20 +85,14 @@ class Heartbeat:
     def latched(self) -> str | None:
         """Why the supervisor has stopped the vehicles; None: it has not. Once it has, no controller drives again."""
         number = int(self.read("latch_reason"))
-        return None if number == 0 else LATCH_REASONS[number]
+        return None if number == 0 else [*LatchReason][number - 1]
 
     def latch(self, reason: str, now_s: float) -> None:
         """Say for good that the vehicles are stopped."""
         if self.latched is None:
             self.write("latched_s", now_s)
-            self.write("latch_reason", LATCH_REASONS.index(reason))
+            self.write("latch_reason", 1 + [*LatchReason].index(LatchReason(reason)))
 
     def close(self) -> None:
         """Let go of the memory."""
         self._memory.close()
-
-
-FROZE = "the controller froze"
-DIED = "the controller died"
-ASKED = "the controller asked for it"
-LATCH_REASONS = ("", FROZE, DIED, ASKED)

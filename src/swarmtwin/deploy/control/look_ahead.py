@@ -29,6 +29,18 @@ class Ahead:
         clearance: np.ndarray = inside.min(axis=-1)
         return clearance
 
+    def gap_mm(self, obstacles: np.ndarray) -> np.ndarray:
+        """Return how far centres are from the nearest edge of round obstacles, (C, M − 1, V): between two moments.
+
+        Between two moments they move straight; negative within an obstacle.
+
+        Args:
+            obstacles: (O, 3) x_mm, y_mm, radius_mm; at least one.
+        """
+        away = self.position_mm[..., None, :] - obstacles[:, :2]  # (C, M, V, O, 2)
+        gap: np.ndarray = (_nearest_mm(away[:, :-1], np.diff(away, axis=1)) - obstacles[:, 2]).min(axis=-1)
+        return gap
+
     def nearest_mm(self) -> tuple[np.ndarray, np.ndarray]:
         """Return how near two vehicles come between moments, (C, C, M − 1, V, V), and the spread of that.
 
@@ -36,11 +48,16 @@ class Ahead:
         """
         position, spread = self.position_mm, self.spread_mm
         apart = position[:, None, :, :, None] - position[None, :, :, None, :]  # (C, C, M, V, V, 2)
-        start, change = apart[:, :, :-1], np.diff(apart, axis=2)
-        share = -(start * change).sum(axis=-1) / np.maximum((change**2).sum(axis=-1), 1e-12)
-        nearest = start + np.clip(share, 0.0, 1.0)[..., None] * change
         variance = spread[:, None, 1:, :, None] ** 2 + spread[None, :, 1:, None, :] ** 2
-        return np.sqrt((nearest**2).sum(axis=-1)), np.sqrt(variance)
+        return _nearest_mm(apart[:, :, :-1], np.diff(apart, axis=2)), np.sqrt(variance)
+
+
+def _nearest_mm(start: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Return the least distance (...) from the origin on straight ways from places (..., 2) that change by (..., 2)."""
+    share = -(start * change).sum(axis=-1) / np.maximum((change**2).sum(axis=-1), 1e-12)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * change
+    distance: np.ndarray = np.sqrt((nearest**2).sum(axis=-1))
+    return distance
 
 
 class LookAhead:

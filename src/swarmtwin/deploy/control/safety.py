@@ -1,6 +1,6 @@
 """The filter that every command passes: bounded, looked ahead, and weakened or withheld where it may do harm."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,8 +29,9 @@ class Decision:
 class SafetyFilter:
     """Chooses how much of each vehicle's command is safe beside those of the others.
 
-    Each pair must keep its separation and each vehicle the fence, as far as the simulation can say. Where they are too
-    near already, commands are safe that bring them no nearer: so the filter itself never locks anybody in.
+    Each pair must keep its separation, each vehicle the fence and its distance from obstacles, as far as the simulation
+    can say. Where they are too near already, commands are safe that bring them no nearer: so the filter itself never
+    locks anybody in.
 
     Attributes:
         interventions: vehicles and periods in which a command was weakened.
@@ -46,6 +47,7 @@ class SafetyFilter:
         settings: SafetySettings,
         separation_mm: float,
         as_sent: Callable[[np.ndarray], np.ndarray] = lambda command: command,
+        obstacles: np.ndarray | None = None,
     ) -> None:
         """Prepare.
 
@@ -57,6 +59,7 @@ class SafetyFilter:
             settings: margins.
             separation_mm: least distance of two centres.
             as_sent: what is left of commands (..., m) when they are written into a message.
+            obstacles: (O, 3) x_mm, y_mm, radius_mm; None: there are none.
         """
         self.interventions = 0
         self.deadlocks = 0
@@ -68,6 +71,8 @@ class SafetyFilter:
         self._settings = settings
         self._separation_mm = separation_mm
         self._as_sent = as_sent
+        self._obstacles = np.empty((0, 3)) if obstacles is None else obstacles
+        self._clear_mm = max(robot.vehicle_size_mm) / 2 + settings.obstacle_margin_mm
         self._withheld = np.zeros(len(vehicles), int)
         self._tolerance_mm = 0.5  # that a simulated turn on the spot may wander
 
@@ -78,11 +83,11 @@ class SafetyFilter:
         scales = np.array(self._settings.scales)
         candidates = self._as_sent(rest + scales[:, None, None] * (bounded - rest))
         ahead = self._look_ahead(state, candidates)
-        fence, pairs = self._keeps_fence(ahead), self._keep_apart(ahead)
-        chosen = self._choose(fence, pairs)
+        alone, pairs = self._allowed_alone(ahead), self._keep_apart(ahead)
+        chosen = self._choose(np.logical_and.reduce([*alone.values()]), pairs)
         vehicles = np.arange(len(chosen))
         command = candidates[chosen, vehicles]
-        reasons = [self._reason(vehicle, chosen, scales, fence, pairs) for vehicle in range(len(chosen))]
+        reasons = [self._reason(vehicle, chosen, scales, alone, pairs) for vehicle in range(len(chosen))]
         if len(set(chosen)) > 1 and not self._is_safe(self._look_ahead(state, command[None])):
             moving = scales[chosen] > 0
             chosen = np.full(len(chosen), len(scales) - 1)
@@ -92,6 +97,22 @@ class SafetyFilter:
         reasons = [f"bounded{why and ', '}{why}" if out else why for out, why in zip(beyond, reasons, strict=True)]
         self._count(bounded, scales[chosen])
         return Decision(command, scales[chosen], tuple(reasons))
+
+    def _allowed_alone(self, ahead: Ahead) -> dict[str, np.ndarray]:
+        """Return whether each candidate keeps each vehicle from what stands still, (C, V), by what that is."""
+        return {"fence": self._keeps_fence(ahead), "obstacle": self._avoids_obstacles(ahead)}
+
+    def _avoids_obstacles(self, ahead: Ahead) -> np.ndarray:
+        """Return whether each candidate keeps each vehicle off the obstacles, (C, V)."""
+        if not len(self._obstacles):
+            return np.ones_like(ahead.spread_mm[:, 0], dtype=bool)
+        gap = ahead.gap_mm(self._obstacles) - self._clear_mm
+        away = np.linalg.norm(ahead.position_mm[:, 0, :, None] - self._obstacles[:, :2], axis=-1)
+        now = (away - self._obstacles[:, 2]).min(axis=-1) - self._clear_mm
+        surely = (gap - self._settings.deviations * ahead.spread_mm[:, 1:]).min(axis=1) >= 0
+        no_nearer = gap.min(axis=1) >= now - self._tolerance_mm
+        kept: np.ndarray = surely | no_nearer
+        return kept
 
     def _keeps_fence(self, ahead: Ahead) -> np.ndarray:
         """Return whether each candidate keeps each vehicle within the fence, (C, V)."""
@@ -111,31 +132,36 @@ class SafetyFilter:
         kept: np.ndarray = surely | no_nearer | np.eye(len(now), dtype=bool)
         return kept
 
-    def _choose(self, fence: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    def _choose(self, alone: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Return the index of each vehicle's candidate, (V,).
 
         All stand at first. One after the other, who has been held back longest first, is given the strongest command
         that is safe beside what the others have by then; twice, since who yields makes room.
         """
-        standing = len(fence) - 1
-        chosen = np.full(fence.shape[1], standing)
+        standing = len(alone) - 1
+        chosen = np.full(alone.shape[1], standing)
         order = np.argsort(-self._withheld, kind="stable")
         for _ in range(2):
             for vehicle in order:
-                safe = fence[:, vehicle] & pairs[:, chosen, vehicle, np.arange(len(chosen))].all(axis=1)
+                safe = alone[:, vehicle] & pairs[:, chosen, vehicle, np.arange(len(chosen))].all(axis=1)
                 chosen[vehicle] = np.argmax(safe) if safe.any() else standing
         return chosen
 
     def _is_safe(self, joint: Ahead) -> bool:
-        return bool(self._keeps_fence(joint).all() and self._keep_apart(joint).all())
+        return all(kept.all() for kept in (*self._allowed_alone(joint).values(), self._keep_apart(joint)))
 
     def _reason(
-        self, vehicle: int, chosen: np.ndarray, scales: np.ndarray, fence: np.ndarray, pairs: np.ndarray
+        self,
+        vehicle: int,
+        chosen: np.ndarray,
+        scales: np.ndarray,
+        alone: Mapping[str, np.ndarray],
+        pairs: np.ndarray,
     ) -> str:
         scale = scales[chosen[vehicle]]
         if scale == 1.0:
             return ""
-        causes = [] if fence[0, vehicle] else ["fence"]
+        causes = [name for name, kept in alone.items() if not kept[0, vehicle]]
         beside = pairs[0, chosen, vehicle, np.arange(len(chosen))]
         causes += [f"vehicle {self._vehicles[other]}" for other in np.flatnonzero(~beside)]
         done = "withheld" if scale == 0 else f"weakened to {scale:.0%}"

@@ -24,6 +24,7 @@ class SafetySettings(StrictModel):
         separation_mm: commands are weakened that may bring two centres nearer than this; null: a tenth more than what
             the task calls a collision, or where it knows none, 1.3 times the vehicle's longer side.
         fence_margin_mm: commands are weakened that may bring a centre nearer than this to the arena's border.
+        obstacle_margin_mm: or nearer than this to an obstacle, as round things that touch.
         deviations: how many standard deviations of the motion "may" means.
         unknown_spread: where the simulation does not know how random motion is: its standard deviation, as a share of
             the motion.
@@ -35,18 +36,19 @@ class SafetySettings(StrictModel):
         outside_mm: all stop when a vehicle's centre is further than this beyond the arena's border.
         too_near_mm: or when two centres are nearer than this; null: nine tenths of what the task calls a collision.
         decision_s: or when the policy takes longer than this for its decision.
-        link_lost_s: or when the link has been down for so long.
         standing_moves_mm: or when a vehicle that has been told to stand for two periods moves further than this in one.
         heartbeat_s: the supervisor stops all when the controller has shown no sign of life for so long; null: half a
             period. The controller stops all when the supervisor has shown none for half as long again.
         zeros_every_s: a stop is repeated that often until the vehicles are seen to stand.
         standstill_s: they stand when they have not moved for so long
         standstill_mm: by more than this.
-        standstill_wait_s: if they have not by then, the stop says so.
+        standstill_wait_s: zeros are repeated for so long at most, and if they do not stand by then, the stop says so;
+            robots that have lost the broker take 5 s to come back to it.
     """
 
     separation_mm: Positive | None = None
     fence_margin_mm: NotNegative = 5.0
+    obstacle_margin_mm: NotNegative = 5.0
     deviations: NotNegative = 3.0
     unknown_spread: NotNegative = 0.25
     look_ahead_periods: Annotated[int, Field(ge=1, le=2)] = 2
@@ -57,13 +59,12 @@ class SafetySettings(StrictModel):
     outside_mm: NotNegative = 15.0
     too_near_mm: Positive | None = None
     decision_s: Positive = 0.1
-    link_lost_s: NotNegative = 0.2
     standing_moves_mm: Positive = 15.0
     heartbeat_s: Positive | None = None
     zeros_every_s: Positive = 0.05
     standstill_s: Positive = 0.5
     standstill_mm: Positive = 3.0
-    standstill_wait_s: Positive = 5.0
+    standstill_wait_s: Positive = 10.0
 
     def heartbeat_limit_s(self, robot: Robot) -> float:
         """Return how old the controller's last sign of life may be."""

@@ -15,7 +15,13 @@ class StopConditions:
     """Judges what is seen and heard; each method returns a reason in words, or None."""
 
     def __init__(
-        self, robot: Robot, arena: Arena, vehicles: Sequence[str], settings: SafetySettings, too_near_mm: float
+        self,
+        robot: Robot,
+        arena: Arena,
+        vehicles: Sequence[str],
+        settings: SafetySettings,
+        too_near_mm: float,
+        obstacles: np.ndarray | None = None,
     ) -> None:
         """Prepare.
 
@@ -25,11 +31,13 @@ class StopConditions:
             vehicles: their ids.
             settings: limits.
             too_near_mm: two centres nearer than this stop all.
+            obstacles: (O, 3) x_mm, y_mm, radius_mm; None: there are none.
         """
         self._robot, self._arena, self._settings = robot, arena, settings
         self._vehicles = tuple(vehicles)
         self._too_near_mm = too_near_mm
-        self._link_down_since_s: float | None = None
+        self._obstacles = np.empty((0, 3)) if obstacles is None else obstacles
+        self._interruptions_at_start: int | None = None
         self._foreign_at_start: int | None = None
         self._standing_since_s = dict.fromkeys(vehicles, np.inf)
 
@@ -53,10 +61,14 @@ class StopConditions:
         return self.of_positions(position)
 
     def of_positions(self, position: np.ndarray) -> str | None:
-        """Ask whether vehicles at (V, 2) are within the fence and apart."""
+        """Ask whether vehicles at (V, 2) are within the fence, apart, and beside the obstacles."""
         beyond = np.maximum(self._arena.low_mm - position, position - self._arena.high_mm).max(axis=1)
         if (farthest := int(np.argmax(beyond))) >= 0 and beyond[farthest] > self._settings.outside_mm:
             return f"vehicle {self._vehicles[farthest]} is {beyond[farthest]:.0f} mm beyond the fence"
+        for x_mm, y_mm, radius_mm in self._obstacles:
+            away = np.hypot(*(position - (x_mm, y_mm)).T)
+            if away[nearest := int(np.argmin(away))] < radius_mm + 0.9 * min(self._robot.vehicle_size_mm) / 2:
+                return f"vehicle {self._vehicles[nearest]} is in the obstacle at x {x_mm:.0f}, y {y_mm:.0f} mm"
         apart = np.sqrt(((position[:, None] - position[None]) ** 2).sum(axis=-1))
         np.fill_diagonal(apart, np.inf)
         one, other = np.unravel_index(np.argmin(apart), apart.shape)
@@ -65,14 +77,19 @@ class StopConditions:
             return f"vehicles {names} are too near each other, {apart[one, other]:.0f} mm"
         return None
 
-    def of_link(self, now_s: float, link: Link) -> str | None:
-        """Ask whether commands have a way to go, and whether anybody else gives some."""
-        if link.is_connected:
-            self._link_down_since_s = None
-        elif self._link_down_since_s is None:
-            self._link_down_since_s = now_s
-        if self._link_down_since_s is not None and now_s - self._link_down_since_s >= self._settings.link_lost_s:
+    def of_link(self, link: Link) -> str | None:
+        """Ask whether commands have a way to go, and whether anybody else gives some.
+
+        A link that was lost and is back is no better than one that is lost: a broker that was started anew has lost the
+        vehicles, too, which may take seconds to come back and drive on until then.
+        """
+        if not link.is_connected:
             return "the link to the vehicles is lost"
+        interruptions = getattr(link, "interruptions", 0)
+        if self._interruptions_at_start is None:
+            self._interruptions_at_start = interruptions
+        if interruptions > self._interruptions_at_start:
+            return "the link to the vehicles was lost for a moment: some may still be without one"
         foreign = getattr(link, "foreign_messages", None)
         if foreign is None:
             return None
@@ -130,3 +147,13 @@ def standing(seen: Sequence[SeenPose], settings: SafetySettings) -> bool:
         return False
     position = np.array([one.pose[:2] for one in seen])
     return bool(np.hypot(*(position - position[-1]).T).max() <= settings.standstill_mm)
+
+
+def all_standing(
+    observer: Observer, vehicles: Sequence[str], settings: SafetySettings, now_s: float, begun_s: float
+) -> bool:
+    """Return whether all vehicles are seen to stand, by what was seen since a stop began."""
+    if now_s - begun_s < settings.standstill_s:
+        return False
+    from_s = max(now_s - settings.standstill_s - 0.1, begun_s)
+    return all(standing(observer.since(vehicle, from_s), settings) for vehicle in vehicles)

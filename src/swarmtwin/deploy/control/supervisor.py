@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from swarmtwin.deploy.control.heartbeat import ASKED, DIED, FROZE, Heartbeat, Phase
+from swarmtwin.deploy.control.heartbeat import Heartbeat, LatchReason, Phase
 from swarmtwin.deploy.link.broker import Broker
 from swarmtwin.deploy.link.link import Link, LinkLostError
 from swarmtwin.deploy.link.mqtt_link import connect
@@ -82,9 +82,9 @@ class Supervisor:
             if self.heartbeat.phase == Phase.ENDED:
                 continue
             if self.heartbeat.read("ask_supervisor"):
-                self.heartbeat.latch(ASKED, now_s)
+                self.heartbeat.latch(LatchReason.ASKED, now_s)
             if self.heartbeat.phase == Phase.DRIVING and self._silence_s() > self.orders.silence_s:
-                self._latch(FROZE)
+                self._latch(LatchReason.FROZE)
             if self.heartbeat.latched:
                 self._send_zeros()
 
@@ -100,7 +100,7 @@ class Supervisor:
         """Stop the vehicles for a while, unless the controller had nothing moving."""
         if self.heartbeat.phase in (Phase.PREPARING, Phase.ENDED):
             return False
-        self._latch(DIED)
+        self._latch(LatchReason.DIED)
         until_s = time.monotonic() + self.orders.stops_for_s
         while time.monotonic() < until_s:
             self._send_zeros()

@@ -64,6 +64,7 @@ class CameraProcess:
             told["fps"],
             self._arrive_later,
             told["rays_per_side"],
+            told["obstacles"],
         )
         self._newest: tuple[int, Picture] | None = None
         self._arrived = asyncio.Event()

@@ -20,6 +20,7 @@ class EmulatedVehicle:
         conditions: the effects that are switched on.
         contact_mm: two vehicles' centres cannot be nearer: they push each other, each by half of what is missing.
         wall_mm: so far outside of the arena a wall stops the vehicle's centre.
+        obstacles: (O, 3) x_mm, y_mm, radius_mm of what pushes it out, taken as round, wherever it drives in.
     """
 
     def __init__(
@@ -31,6 +32,7 @@ class EmulatedVehicle:
         pose: Sequence[float],
         session_s: float,
         wall_mm: float,
+        obstacles: Sequence[Sequence[float]] = (),
     ) -> None:
         session = StandInSession(robot, (vehicle,), 1, 1, seed, effects)
         self.conditions = session.conditions
@@ -39,6 +41,7 @@ class EmulatedVehicle:
         self._physics.substeps = 1  # type: ignore[misc]  # of this object alone: a period of one step
         self.contact_mm = max(robot.vehicle_size_mm)
         self.wall_mm = wall_mm
+        self.obstacles = np.array(obstacles, float).reshape(-1, 3)
         self._session_s = session_s
         self._arena = robot.arena_mm
         self._rng = Streams(seed, f"fleet/{vehicle}").of("motion")
@@ -83,6 +86,11 @@ class EmulatedVehicle:
         self._state = advance(self._physics, state, period, noise)
         if len(others_mm):
             self._push(others_mm)
+        for x_mm, y_mm, radius_mm in self.obstacles:
+            away_mm = self._state[:2, 0, 0] - (x_mm, y_mm)
+            distance_mm = max(float(np.hypot(*away_mm)), 1e-6)
+            missing_mm = max(radius_mm + self.contact_mm / 2 - distance_mm, 0.0)
+            self._state[:2, 0, 0] += away_mm * (missing_mm / distance_mm)
         np.clip(self._state[0], self._arena.x[0] - self.wall_mm, self._arena.x[1] + self.wall_mm, self._state[0])
         np.clip(self._state[1], self._arena.y[0] - self.wall_mm, self._arena.y[1] + self.wall_mm, self._state[1])
 

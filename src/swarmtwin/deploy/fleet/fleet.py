@@ -38,6 +38,8 @@ class FleetSettings(StrictModel):
         session_s: length of a session, for effects by which vehicles age; it begins when the fleet does.
         start_share: of the arena's sides: vehicles stand within that inner part at first.
         wall_mm: so far outside of the arena are the walls that stop a vehicle.
+        obstacles: round ones that stand in the arena, (x_mm, y_mm, radius_mm) each: vehicles cannot pass, and the
+            camera sees them as discs on the floor.
         camera: how the camera hangs and sees, see `CameraConditions`.
         camera_host: where the camera listens.
     """
@@ -51,6 +53,7 @@ class FleetSettings(StrictModel):
     session_s: Positive = 600.0
     start_share: Annotated[float, Field(gt=0, le=1)] = 0.8
     wall_mm: Annotated[float, Field(ge=0)] = 150.0
+    obstacles: tuple[tuple[float, float, Positive], ...] = ()
     camera: Mapping[str, Any] = Field(default_factory=dict)
     camera_host: str = "127.0.0.1"
 
@@ -174,15 +177,15 @@ class Fleet:
             UserError: there are too many vehicles for the arena.
         """
         low, high = self.robot.arena_mm.low_mm, self.robot.arena_mm.high_mm
-        room, nobody = inner_room(low, high, self.settings.start_share), np.empty((1, 0, 3))
+        room, taken = inner_room(low, high, self.settings.start_share), self._room_of_obstacles()
         count, size_mm = len(self.vehicles), max(self.robot.vehicle_size_mm)
         apart_mm = 2.2 * size_mm
-        while room_for(count, room, apart_mm, nobody[0]) < count:
+        while room_for(count, room, apart_mm, taken) < count:
             apart_mm *= 0.9
             if apart_mm < 1.1 * size_mm:
                 raise UserError(f"vehicles: {count} of {self.robot.name!r} do not fit into the arena: give fewer")
         rng = np.random.default_rng(seed)
-        places = draw_apart(rng, count, room, apart_mm, nobody)[0]
+        places = draw_apart(rng, count, room, apart_mm, taken[None])[0]
         headings = rng.uniform(-np.pi, np.pi, count)
         return {
             vehicle: (float(x_mm), float(y_mm), float(heading_rad))
@@ -245,6 +248,11 @@ class Fleet:
     def _effects(self, vehicle: str) -> list[dict[str, Any]]:
         return [*self.settings.effects, *self.settings.effects_of.get(vehicle, ())]
 
+    def _room_of_obstacles(self) -> np.ndarray:
+        """Return the circles (O, 3) in which no vehicle's centre can start."""
+        reach_mm = np.array([0.0, 0.0, 1.1 * max(self.robot.vehicle_size_mm)])
+        return np.array(self.settings.obstacles, float).reshape(-1, 3) + reach_mm
+
     def _told(self) -> dict[str, Any]:
         robot, hardware = self.robot.model_dump(mode="json"), {}
         for name in ("link", "marker"):
@@ -255,6 +263,7 @@ class Fleet:
             "vehicles": list(self.vehicles),
             "memory": self._memory.descriptor,
             "seed": self.settings.seed,
+            "obstacles": self.settings.obstacles,
         }
 
     def _start_robot(self, vehicle: str, pose: Pose) -> ChildProcess:

@@ -40,7 +40,9 @@ class RobotProcess:
         self._index = told["vehicles"].index(told["vehicle"])
         vehicle, seed = told["vehicle"], told["seed"]
         effects = parse_effects(told["effects"], robot, len(told["vehicles"]))
-        self._vehicle = EmulatedVehicle(robot, vehicle, effects, seed, told["pose"], told["session_s"], told["wall_mm"])
+        self._vehicle = EmulatedVehicle(
+            robot, vehicle, effects, seed, told["pose"], told["session_s"], told["wall_mm"], told["obstacles"]
+        )
         conditions = self._vehicle.conditions
         usual = RobotFaults(latency_s=conditions.delay_s, loss=conditions.loss_probability)
         self._path = FaultyPath(Streams(seed, f"fleet/{vehicle}").of("link"), usual)

@@ -53,6 +53,7 @@ class Shutter:
         fps: float,
         publish: Callable[[Picture, float], None],
         rays_per_side: int,
+        obstacles: Sequence[Sequence[float]] = (),
         quality: int = 92,
     ) -> None:
         """Hang the camera up.
@@ -67,12 +68,13 @@ class Shutter:
             fps: pictures in a second.
             publish: is handed each picture, and how much later it is to arrive, in s.
             rays_per_side: see `OverheadCamera`.
+            obstacles: see `OverheadCamera`.
             quality: of the compression.
 
         Raises:
             UserError: a vehicle's marker cannot be rendered.
         """
-        self._camera = OverheadCamera(robot, vehicles, conditions, rays_per_side=rays_per_side)
+        self._camera = OverheadCamera(robot, vehicles, conditions, rays_per_side=rays_per_side, obstacles=obstacles)
         self.size = self._camera.size
         self.fps, self.quality = fps, quality
         self.is_watched = threading.Event()

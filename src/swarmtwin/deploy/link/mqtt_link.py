@@ -59,6 +59,7 @@ class MqttLink:
         self._refusal: str | None = None
         self._lost_because = "it was never connected"
         self._closed = False
+        self._interruptions = 0
         client.on_connect = _never_raise(self._on_connect)
         client.on_disconnect = _never_raise(self._on_disconnect)
         client.on_subscribe = _never_raise(self._on_subscribe)
@@ -68,6 +69,11 @@ class MqttLink:
     def is_connected(self) -> bool:
         """Whether what is sent now has a way to go."""
         return self._ready.is_set()
+
+    @property
+    def interruptions(self) -> int:
+        """How often the connection was lost: whoever else was connected may have lost theirs, too."""
+        return self._interruptions
 
     @property
     def announced(self) -> Mapping[str, float]:
@@ -174,6 +180,7 @@ class MqttLink:
         self._lost_because = self._refusal or str(code)
         self._answered.set()
         if was_connected and not self._closed:
+            self._interruptions += 1
             logger.warning("connection to the broker %s lost (%s); trying again", self.broker.address, code)
 
     def _on_message(self, _: Client, __: Any, message: MQTTMessage) -> None:

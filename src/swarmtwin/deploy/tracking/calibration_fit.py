@@ -1,19 +1,24 @@
 """A calibration from pictures of the arena's four markers and of vehicles on it."""
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
 from swarmtwin.deploy.tracking.calibration import Calibration, Lens
-from swarmtwin.deploy.tracking.corner_refinement import CornerRefinement
-from swarmtwin.deploy.tracking.marker_detection import MarkerDetector, SeenMarker, grey_of, side_px
+from swarmtwin.deploy.tracking.calibration_sight import SeenMarkers, look
+from swarmtwin.deploy.tracking.marker_detection import side_px
 from swarmtwin.deploy.tracking.rigid_fit import fitted_square
 from swarmtwin.errors import UserError
 from swarmtwin.markers import ArenaMarkers, marker_of, square_corners_mm
 from swarmtwin.robot import Robot
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -31,10 +36,8 @@ class FitSettings:
         log_focal: standard deviation of the logarithm of the focal length among cameras, in widths of the picture.
         usual_focal: its median.
         camera_height_share: standard error of a camera's height that was measured by hand.
+        camera_above_mm: standard error, along x and y, of the point below the lens that was found by a plumb line.
         largest_error_mm: where a marker on the floor seems to lie farther from where it should, the fit is refused.
-        size_share: a vehicle's marker that seems larger or smaller than stated by more is no vehicle's.
-        most_poses: of each vehicle that take part.
-        moved_px: a vehicle that has not moved so far has the same pose still.
     """
 
     corner_px: float = 0.06
@@ -46,20 +49,21 @@ class FitSettings:
     log_focal: float = 0.6
     usual_focal: float = 1.1
     camera_height_share: float = 0.005
+    camera_above_mm: float = 5.0
     largest_error_mm: float = 2.0
-    size_share: float = 0.25
-    most_poses: int = 12
-    moved_px: float = 1.0
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """What the pictures show: the floor's corners (16, 2) in px, and those (S, 4, 2) of vehicles' markers."""
+class MeasuredByHand(NamedTuple):
+    """Where the camera hangs, as far as somebody has measured it.
 
-    floor_px: np.ndarray
-    vehicles_px: np.ndarray
-    size: tuple[int, int]
-    mirrored: bool
+    Attributes:
+        camera_height_mm: of the lens above the floor, by a tape measure; None: nobody has.
+        camera_above_mm: x and y in the arena's frame of the point of the floor below the lens, by a plumb line; None:
+            nobody has.
+    """
+
+    camera_height_mm: float | None = None
+    camera_above_mm: tuple[float, float] | None = None
 
 
 def fit_calibration(
@@ -67,7 +71,7 @@ def fit_calibration(
     robot: Robot,
     layout: ArenaMarkers | None = None,
     lens: Lens | None = None,
-    camera_height_mm: float | None = None,
+    by_hand: MeasuredByHand | None = None,
     settings: FitSettings | None = None,
 ) -> Calibration:
     """Find out where a camera hangs from several of its pictures.
@@ -82,7 +86,7 @@ def fit_calibration(
         robot: whose vehicles are seen, with its arena.
         layout: the arena's markers; None: as the defaults say.
         lens: known from a board; None: it is fitted.
-        camera_height_mm: above the floor, as measured by hand; None: nobody has.
+        by_hand: where the camera hangs, as far as somebody has measured it; None: nobody has.
         settings: see there.
 
     Raises:
@@ -90,10 +94,10 @@ def fit_calibration(
             the markers do not lie where they should.
     """
     settings, layout = settings or FitSettings(), layout or ArenaMarkers()
-    seen = _look(pictures, robot, layout, settings)
+    seen = look(pictures, robot, layout)
     if lens is not None and tuple(lens.image_size) != seen.size:
         raise UserError(f"the lens was measured on pictures of {lens.image_size}, and these are {seen.size}")
-    problem = _Problem(seen, robot, layout, lens, camera_height_mm, settings)
+    problem = _Problem(seen, robot, layout, lens, by_hand or MeasuredByHand(), settings)
     best = min(
         (problem.solve(focal) for focal in (0.7, 1.3, 2.6)),
         key=lambda solution: float(solution.cost),
@@ -109,6 +113,26 @@ def fit_calibration(
     return problem.calibration(best)
 
 
+def loaded_or_fitted(
+    file: Path | None, pictures: Callable[[], Sequence[np.ndarray]], robot: Robot, by_hand: MeasuredByHand
+) -> Calibration:
+    """Return the calibration in a file, or where there is none that by the arena's markers on pictures.
+
+    Raises:
+        UserError: it cannot be read or fitted, or something was measured by hand that a stored one cannot heed.
+    """
+    if file is None:
+        found = fit_calibration(pictures(), robot, by_hand=by_hand)
+        log.info("calibrated by the arena's markers: %s", found.summary(robot))
+        return found
+    if unheeded := [name for name, value in by_hand._asdict().items() if value is not None]:
+        raise UserError(
+            f"{unheeded[0]} is of use where the arena's markers calibrate, and calibration={file} is a stored "
+            f"calibration: give {unheeded[0]} to `swarmtwin calibrate` when you make that, or leave one of both out"
+        )
+    return Calibration.load(file)
+
+
 class _Problem:
     """The least-squares problem.
 
@@ -119,15 +143,15 @@ class _Problem:
 
     def __init__(
         self,
-        seen: _Seen,
+        seen: SeenMarkers,
         robot: Robot,
         layout: ArenaMarkers,
         lens: Lens | None,
-        camera_height_mm: float | None,
+        by_hand: MeasuredByHand,
         settings: FitSettings,
     ) -> None:
         self._seen, self._robot, self._layout, self._lens = seen, robot, layout, lens
-        self._camera_height_mm, self._settings = camera_height_mm, settings
+        self._by_hand, self._settings = by_hand, settings
         self._marker = marker_of(robot)
         floor = np.concatenate(list(layout.corners_mm(robot.arena_mm).values()))
         self._floor_mm = np.column_stack([floor, np.zeros(len(floor))])
@@ -219,10 +243,18 @@ class _Problem:
             off = (numbers[17:19] - np.array([width - 1, height - 1]) / 2) / (settings.centre_share * width)
             focal = (numbers[16] - np.log(settings.usual_focal * width)) / settings.log_focal
             parts.append(np.array([*off, focal, numbers[19] / settings.k1]))
-        if self._camera_height_mm is not None:
-            error = calibration.camera_mm[2] / self._camera_height_mm - 1
-            parts.append(np.array([error / settings.camera_height_share]))
+        parts.append(self._off_by_hand(calibration))
         return np.concatenate(parts)
+
+    def _off_by_hand(self, calibration: Calibration) -> np.ndarray:
+        """Return how far the camera is from where it was measured to hang, in standard errors, (0 to 3,)."""
+        settings, by_hand, camera_mm = self._settings, self._by_hand, calibration.camera_mm
+        off: list[float] = []
+        if by_hand.camera_height_mm is not None:
+            off.append((camera_mm[2] / by_hand.camera_height_mm - 1) / settings.camera_height_share)
+        if by_hand.camera_above_mm is not None:
+            off.extend((camera_mm[:2] - by_hand.camera_above_mm) / settings.camera_above_mm)
+        return np.array(off)
 
     def _uncertainty_mm(self, solution: OptimizeResult, draft: Calibration) -> float:
         """Return the standard error of where a vehicle's marker is, in the arena's worst corner."""
@@ -238,78 +270,6 @@ class _Problem:
         slope = np.array(changes)
         variance = np.einsum("ink,ij,jnk->n", slope, covariance, slope)
         return float(np.sqrt(variance.max()))
-
-
-def _look(pictures: Sequence[np.ndarray], robot: Robot, layout: ArenaMarkers, settings: FitSettings) -> _Seen:
-    """Find and refine all markers on all pictures, and see whether these are mirrored."""
-    if not pictures:
-        raise UserError("there is no picture to calibrate from")
-    sizes = {(picture.shape[1], picture.shape[0]) for picture in pictures}
-    if len(sizes) > 1:
-        raise UserError(
-            f"the pictures differ in size: {', '.join(f'{w} × {h}' for w, h in sorted(sizes))}: use one camera"
-        )
-    marker = marker_of(robot)
-    detector, refinement = MarkerDetector(marker.dictionary), CornerRefinement(marker.dictionary)
-    greys = [grey_of(picture) for picture in pictures]
-    plain = _floor_markers(detector, greys[0], layout)
-    flipped = _floor_markers(detector, cv2.flip(greys[0], 1), layout)
-    mirrored = flipped > plain
-    floor: dict[int, list[np.ndarray]] = {number: [] for number in layout.ids}
-    vehicles: dict[int, list[np.ndarray]] = {}
-    for grey in greys:
-        upright = cv2.flip(grey, 1) if mirrored else grey
-        found = [refinement.refine(upright, one) for one in detector.find(upright)]
-        _refuse_twice(found, layout)
-        for number, corners in found:
-            if number in floor:
-                floor[number].append(corners)
-            else:
-                _add_pose(vehicles.setdefault(number, []), corners, settings)
-    if missing := [str(number) for number, seen in floor.items() if not seen]:
-        raise UserError(
-            f"{4 - len(missing)} of the arena's four markers are seen, and not {', '.join(missing)} of "
-            f"{marker.dictionary}: see that nothing covers them and that they lie flat and in even light"
-        )
-    floor_px = np.concatenate([np.median(seen, axis=0) for seen in floor.values()])
-    return _Seen(floor_px, _of_stated_size(vehicles, floor_px, marker.size_mm, layout, settings), sizes.pop(), mirrored)
-
-
-def _floor_markers(detector: MarkerDetector, grey: np.ndarray, layout: ArenaMarkers) -> int:
-    return len({one.number for one in detector.find(grey)} & set(layout.ids))
-
-
-def _refuse_twice(found: Sequence[SeenMarker], layout: ArenaMarkers) -> None:
-    for number in layout.ids:
-        if sum(one.number == number for one in found) > 1:
-            raise UserError(
-                f"marker {number} is there twice, and it is one of the arena's four: take the other one away"
-            )
-
-
-def _add_pose(poses: list[np.ndarray], corners: np.ndarray, settings: FitSettings) -> None:
-    """Keep where a vehicle's marker was seen, unless it has not moved."""
-    still = poses and np.linalg.norm(corners - poses[-1], axis=1).max() < settings.moved_px
-    if not still and len(poses) < settings.most_poses:
-        poses.append(corners)
-
-
-def _of_stated_size(
-    vehicles: dict[int, list[np.ndarray]],
-    floor_px: np.ndarray,
-    size_mm: float,
-    layout: ArenaMarkers,
-    settings: FitSettings,
-) -> np.ndarray:
-    """Return the corners (S, 4, 2) of those markers that can be vehicles' by their size."""
-    expected_px = np.mean([side_px(corners) for corners in floor_px.reshape(4, 4, 2)]) * size_mm / layout.size_mm
-    kept = [
-        corners
-        for poses in vehicles.values()
-        for corners in poses
-        if abs(side_px(corners) / expected_px - 1) < settings.size_share
-    ]
-    return np.array(kept).reshape(-1, 4, 2)
 
 
 def _drawn_in(corners: np.ndarray, spread_px: float) -> np.ndarray:

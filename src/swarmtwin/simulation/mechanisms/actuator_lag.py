@@ -21,8 +21,6 @@ class Config(Mechanism):
     remedy: ClassVar = "check motors and gears for wear, or lower the controller's smoothing"
     parameters: ClassVar = {"time_constant_s": Parameter(0.0, 1.0, 0.0, "s", (0.1,))}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
-    interval_widening: ClassVar = 1.8
-    share_left_over: ClassVar = 0.3
 
     name: Literal["actuator_lag"] = "actuator_lag"
     time_constant_s: float

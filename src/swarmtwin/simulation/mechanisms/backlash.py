@@ -27,8 +27,6 @@ class Config(Mechanism):
     remedy: ClassVar = "check gears, couplings and set screws for play"
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
-    interval_widening: ClassVar = 2.0
-    share_left_over: ClassVar = 0.3
 
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None

@@ -16,7 +16,6 @@ class Config(Mechanism):
     remedy: ClassVar = "check network, broker and camera for latency"
     parameters: ClassVar = {"delay_s": Parameter(0.0, 1.0, 0.0, "s", (0.1,))}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command",)
-    share_left_over: ClassVar = 0.3
 
     name: Literal["command_delay"] = "command_delay"
     delay_s: float

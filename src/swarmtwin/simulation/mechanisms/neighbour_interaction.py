@@ -23,7 +23,6 @@ class Config(Mechanism):
     remedy: ClassVar = "keep the vehicles further apart, or look for wakes, magnets and cables"
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("pose", "neighbours")
-    interval_widening: ClassVar = 1.4
 
     name: Literal["neighbour_interaction"] = "neighbour_interaction"
     strength_mm_s: float

@@ -17,7 +17,6 @@ class Config(Mechanism):
     words: ClassVar = "commands beyond {limit} are cut"
     remedy: ClassVar = "check the supply and the driver's current limit, or keep commands below it"
     parameters: ClassVar = {"limit": Parameter(0.1, 1.0, 1.0, "", (0.5,))}
-    interval_widening: ClassVar = 1.4
 
     name: Literal["saturation"] = "saturation"
     limit: float

@@ -21,7 +21,6 @@ class Config(Mechanism):
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
     is_smooth: ClassVar = False
-    interval_widening: ClassVar = 2.2
 
     name: Literal["surface_patch"] = "surface_patch"
     x_mm: float

@@ -16,6 +16,7 @@ class Paint:
     white: int = 230
     black: int = 20
     body: int = 70
+    obstacle: int = 45
 
 
 @dataclass(frozen=True)

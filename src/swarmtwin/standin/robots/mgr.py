@@ -6,6 +6,8 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from swarmtwin.standin.character import Character
+from swarmtwin.standin.effect import Stroke
 from swarmtwin.standin.physics import Physics, Surroundings, Unit, fabricate, take_up
 
 
@@ -79,6 +81,17 @@ class StandIn(Physics):
     memory_of_place = False
     latent_draws = 64
 
+    unruly = Character(
+        motion_freedom=2.6,
+        camera_freedom=4.0,
+        noise_factor=1.4,
+        marker_mm=(10.0, 0.0),
+        marker_spread_mm=1.0,
+        delay_s=0.02,
+        loss_probability=0.004,
+        jitter=0.01,
+    )
+
     full_pwm = 120.0
     curvature = 0.35
     slip = 0.04
@@ -104,6 +117,7 @@ class StandIn(Physics):
         heading_rad, wheels_mm_s = state[2], state[3:5]
         lag_s = self.unit.time_constant_s + self.conditions.lag_s
         fading = np.exp(-dt_s / lag_s)
+        target = self.conditions.aimed_speed(target, wheels_mm_s)
         excess = wheels_mm_s - target
         travel = target * dt_s + excess * (lag_s * (1.0 - fading))
         if noise is not None:
@@ -111,6 +125,8 @@ class StandIn(Physics):
         after = np.empty_like(state)
         after[3:5] = target + excess * fading
         after[5:7] = state[5:7]
+        if self.conditions.rolls:
+            travel, after[7:] = self.conditions.roll(Stroke(travel, wheels_mm_s, after[3:5], dt_s), state[7:])
         if self.conditions.backlash:
             after[5:7], travel = take_up(state[5:7], travel, self.conditions.backlash)
         travel = travel * (surroundings.traction * (1.0 - self.slip))

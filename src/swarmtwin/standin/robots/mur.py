@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from swarmtwin.standin.character import Character
 from swarmtwin.standin.physics import Physics, Surroundings, Unit, fabricate, take_up
 
 
@@ -92,6 +93,18 @@ class StandIn(Physics):
     memory_of_place = True
     latent_draws = 128
 
+    unruly = Character(
+        motion_freedom=2.6,
+        camera_freedom=4.0,
+        noise_factor=1.8,
+        marker_mm=(12.0, 0.0),
+        marker_spread_mm=4.0,
+        delay_s=0.03,
+        loss_probability=0.004,
+        jitter=0.01,
+    )
+    published = ((-67.0, 67.0, None), (0.0, 57.0, None), (3.0, 9.0, 9))
+
     setting_s = 0.06
     servo_limit_rad_s = 6.24
     deflection = 1.64
@@ -122,7 +135,7 @@ class StandIn(Physics):
         noise: np.ndarray | None,
     ) -> np.ndarray:
         """Advance the fin, then the velocities, then the pose (semi-implicit Euler)."""
-        after = np.empty_like(state)
+        after = state.copy()
         fin_rad, fin_rad_s = self._move_fin(state, target, dt_s, after)
         beat_rad = after[10] - after[6]
         beat_rad_s = fin_rad_s - (after[6] - state[6]) / dt_s

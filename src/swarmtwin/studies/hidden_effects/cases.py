@@ -1,73 +1,53 @@
-"""The sessions of the study: which effect hides in which of them, drawn from the study's seed."""
+"""The sessions of the study: which effect hides in which of them, how clearly, all drawn from one seed."""
 
+import math
 import zlib
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, Literal, get_args
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 from pydantic import Field
 
 from swarmtwin.errors import UserError, near_miss
-from swarmtwin.robot import Positive, Robot, Seed, StrictModel
-from swarmtwin.standin.drive_commands import CommandMode
-from swarmtwin.standin.session import StandInSession
-from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE, draw_effect
+from swarmtwin.robot import Positive, Seed, StrictModel
+from swarmtwin.standin.effects import catalogue
+from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, Sizes
+from swarmtwin.studies.hidden_effects.families import Family, driver_of, has_effect, has_robot
+from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS
 
-Rng = np.random.Generator
-
-Kind = Literal["single", "pair", "triple", "outside", "clean"]
+Kind = Literal["one", "two", "three", "outside", "clean"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 Count = Annotated[int, Field(ge=1)]
-
-VARIETIES = (
-    *("plain", "gentle", "held", "waypoints", "short_runs", "long_runs"),
-    *("few_runs", "pose_noise", "other_vehicle", "several_vehicles"),
-)
-"""Kinds of sessions with nothing wrong."""
-
-TOGETHER: dict[Kind, int] = {"pair": 2, "triple": 3}
-QUICK: dict[Kind, int] = {"single": 6, "pair": 1, "triple": 1, "outside": 1, "clean": 2}
-"""How many cases of each robot `cases=quick` keeps."""
-
-
-class CaseCounts(StrictModel):
-    """How many cases there are: of each effect and robot, of each robot, of each kind of clean session and robot."""
-
-    single: Count
-    pair: Count
-    triple: Count
-    outside: Count
-    clean: Count
+Rises = tuple[Positive, Positive]
 
 
 class Case(StrictModel):
-    """One session to diagnose.
+    """One session to diagnose: everything in it follows from these few words.
 
     Attributes:
-        kind: how many effects are hidden in it, and whether the catalogue knows them.
-        variety: names of the effects, or which kind of clean session it is.
+        family: which physics play the robot.
+        kind: how many causes of the catalogue hide in it, something that the catalogue does not know, or nothing.
         robot: its name.
-        effects: what is hidden, as in `record`.
-        vehicles: ids of the vehicles; the reference is always of vehicle 1.
-        manner: of choosing commands.
-        runs: how many.
-        steps: transitions in a run.
-        pose_noise: the camera's noise over the usual one.
-        seed: of everything random in the session and of its diagnosis.
-        reference: which of the references it is compared with.
+        names: of the effects hidden.
+        rises_percent: by how much each of them alone is to raise the one-step error, where its sizes reach that far.
+        variety: what is unlike the reference in a session with nothing wrong; empty otherwise.
+        seed: of everything random, the reference and its vehicle included.
+        runs: of a usual session.
+        steps: transitions in its runs.
+        reference_runs: of the recording that the simulation is learned from.
     """
 
+    family: Family
     kind: Kind
-    variety: str
     robot: str
-    effects: tuple[dict[str, Any], ...]
-    vehicles: tuple[str, ...] = ("1",)
-    manner: CommandMode = "uniform"
-    runs: Count
-    steps: Count
-    pose_noise: Positive = 1.0
+    names: tuple[str, ...] = ()
+    rises_percent: tuple[Positive, ...] = ()
+    variety: str = ""
     seed: Seed
-    reference: int = 0
+    runs: Count = 100
+    steps: Count = 40
+    reference_runs: Count = 150
 
     @property
     def key(self) -> str:
@@ -75,133 +55,111 @@ class Case(StrictModel):
         return self.model_dump_json()
 
     @property
+    def about(self) -> str:
+        """What is hidden, or what kind of clean session it is, in a word."""
+        return "+".join(self.names) or self.variety
+
+    @property
     def true_names(self) -> tuple[str, ...]:
         """The causes that a diagnosis should name: none where the catalogue has no name."""
-        return () if self.kind == "outside" else tuple(effect["name"] for effect in self.effects)
+        return () if self.kind == "outside" else self.names
+
+    def rng(self, purpose: str) -> np.random.Generator:
+        """Return random numbers for one purpose, whatever else is drawn."""
+        return np.random.default_rng([self.seed, zlib.crc32(purpose.encode())])
 
 
-class Plan(StrictModel):
-    """What all cases are drawn from.
+def cases(
+    family: Family,
+    kind: Kind,
+    count: int,
+    seed: int,
+    robots: Sequence[str] = ("mgr", "mur"),
+    rises_percent: Rises = (1.0, 60.0),
+    least_of_several_percent: float = 5.0,
+    runs: int = 100,
+    steps: int = 40,
+    reference_runs: int = 150,
+) -> list[Case]:
+    """Draw cases of one family and kind; more of them change none of the first.
 
-    Attributes:
-        seed: of the whole study.
+    All effects, or varieties of clean sessions, take turns in an order that is drawn anew each round; the errors that
+    they cause are spread evenly over a logarithmic scale.
+
+    Args:
+        family: which physics play the robots.
+        kind: what hides.
+        count: how many.
+        seed: of all that is drawn.
+        robots: whose stand-ins.
+        rises_percent: by how much effects alone are to raise the one-step error, from and to.
+        least_of_several_percent: none of several that hide together raises it by less.
         runs: of a usual session.
         steps: transitions in its runs.
-        references: how many for each robot.
-    """
-
-    seed: Seed
-    runs: Count
-    steps: Count
-    references: Count
-
-    def rng(self, *names: object) -> Rng:
-        """Return random numbers of their own for what is named, whatever else is drawn."""
-        return np.random.default_rng([self.seed, zlib.crc32("/".join(map(str, names)).encode())])
-
-    def at_last(self, rng: Rng) -> dict[str, int]:
-        """Draw what comes last for every case: its seed, and which reference it is compared with."""
-        return {"seed": int(rng.integers(2**31)), "reference": int(rng.integers(self.references))}
-
-
-def draw_cases(robots: Sequence[Robot], plan: Plan, counts: CaseCounts, wanted: Sequence[str] | str) -> list[Case]:
-    """Return the cases: `all`, `quick` (a few of each kind), or those of some kinds.
+        reference_runs: of the recording that the simulation is learned from.
 
     Raises:
-        UserError: there is no such kind.
+        UserError: there is no such kind, or the family's engine is not there.
     """
-    kinds = KINDS if wanted in ("all", "quick") else tuple(wanted)
-    for kind in kinds:
-        if kind not in KINDS:
-            raise UserError(f"cases: no such kind: {kind!r}: {near_miss(kind, ('all', 'quick', *KINDS))}")
-    drawn = {
-        (robot.name, kind): list(_of_kind(kind, robot, plan, getattr(counts, kind)))
-        for kind in KINDS
-        if kind in kinds
-        for robot in robots
-    }
-    if wanted != "quick":
-        return [case for own in drawn.values() for case in own]
-    few = []
-    for robot in robots:
-        for kind, count in QUICK.items():
-            own = drawn[robot.name, kind]
-            rows = plan.rng("quick", kind, robot.name).permutation(len(own))[:count]
-            few += [own[row].model_copy(update={"reference": 0}) for row in rows]
-    return few
+    driver_of(family)
+    if kind not in KINDS:
+        raise UserError(f"no such kind of session: {kind!r}: {near_miss(kind, KINDS)}")
+    length = {"runs": runs, "steps": steps, "reference_runs": reference_runs}
+    turns = _turns(family, kind, robots)
+    drawn = []
+    for number in range(count):
+        rng = _rng(seed, family, kind, number)
+        turn = number % len(turns)
+        robot, word = turns[int(_rng(seed, family, kind, "order", number // len(turns)).permutation(len(turns))[turn])]
+        names: tuple[str, ...] = ()
+        variety = word
+        low, high = rises_percent
+        if kind in ("one", "outside"):
+            names, variety = (word,), ""
+        elif kind in ("two", "three"):
+            names, variety, low = _several(family, robot, 2 if kind == "two" else 3, rng), "", least_of_several_percent
+        rises = tuple(round(math.exp(one), 3) for one in rng.uniform(math.log(low), math.log(high), len(names)))
+        own = int(rng.integers(2**31))
+        case = Case(family=family, kind=kind, robot=robot, names=names, rises_percent=rises, variety=variety, seed=own)
+        drawn.append(case.model_copy(update=length))
+    return drawn
 
 
-def _of_kind(kind: Kind, robot: Robot, plan: Plan, count: int) -> Iterator[Case]:
-    if kind in TOGETHER:
-        yield from (several_effects(robot, plan, kind, index) for index in range(count))
-    elif kind == "clean":
-        yield from (clean(robot, plan, variety, index) for variety in VARIETIES for index in range(count))
-    else:
-        for name, sizes in (CATALOGUE if kind == "single" else OUTSIDE).items():
-            for index in range(count if robot.name in sizes else 0):
-                share = (index + plan.rng("size", kind, name, robot.name, index).random()) / count
-                yield one_effect(robot, plan, name, share, index)
+def _rng(seed: int, *names: object) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32("/".join(map(str, names)).encode())])
 
 
-def one_effect(robot: Robot, plan: Plan, name: str, share: float, index: int) -> Case:
-    """Return a session with one effect of the catalogue or outside it, `share` of the way from faint to clear."""
-    kind: Kind = "single" if name in CATALOGUE else "outside"
-    return _with_effects(robot, plan, kind, {name: share}, plan.rng(kind, name, robot.name, index))
+def _turns(family: Family, kind: Kind, robots: Sequence[str]) -> list[tuple[str, str]]:
+    """Return (robot, effect or variety) of all that take turns.
+
+    Raises:
+        UserError: the family has a body for none of the robots.
+    """
+    robots = [robot for robot in robots if has_robot(family, robot)]
+    if not robots:
+        raise UserError(f"family {family!r} has none of these robots: leave it out, or give robots=[mgr]")
+    if kind in ("one", "outside"):
+        effects = CATALOGUE if kind == "one" else OUTSIDE
+        known = {robot: _known(family, robot, effects) for robot in robots}
+        return [(robot, name) for name in effects for robot in robots if name in known[robot]]
+    if kind == "clean":
+        return [(robot, name) for name, fits in VARIETIES.items() for robot in robots if robot in fits]
+    return [(robot, "") for robot in robots]
 
 
-def several_effects(robot: Robot, plan: Plan, kind: Kind, index: int, least_share: float = 0.5) -> Case:
-    """Return a session with a `pair` or a `triple` of different effects of the catalogue, none of them faint.
+def _known(family: Family, robot: str, effects: Mapping[str, Sizes]) -> list[str]:
+    """Return the effects that a robot of a family can have."""
+    made = {**catalogue(), **OUTSIDE_EFFECTS}
+    return [name for name, sizes in effects.items() if robot in sizes and has_effect(family, robot, name, made[name])]
+
+
+def _several(family: Family, robot: str, together: int, rng: np.random.Generator) -> tuple[str, ...]:
+    """Draw different effects of the catalogue.
 
     A delay and a lag never hide together: at one period either passes for both.
     """
-    together = TOGETHER[kind]
-    rng = plan.rng(kind, robot.name, index)
-    known = [name for name, sizes in CATALOGUE.items() if robot.name in sizes]
+    known = _known(family, robot, CATALOGUE)
     while True:
-        names = [str(name) for name in rng.choice(known, together, replace=False)]
+        names = tuple(str(name) for name in rng.choice(known, together, replace=False))
         if not {"command_delay", "actuator_lag"} <= set(names):
-            shares = rng.uniform(least_share, 1.0, together).tolist()
-            return _with_effects(robot, plan, kind, dict(zip(names, shares, strict=True)), rng)
-
-
-def _with_effects(robot: Robot, plan: Plan, kind: Kind, shares: dict[str, float], rng: Rng) -> Case:
-    """Return a session with effects, each so far on the way from faint to clear."""
-    vehicles = ("1", "2") if "neighbour_interaction" in shares else ("1",)
-    runs = max(1, plan.runs // len(vehicles))
-    run_s = plan.steps * robot.period_s + StandInSession.pause_s
-    return Case(
-        kind=kind,
-        variety="+".join(shares),
-        robot=robot.name,
-        effects=tuple(draw_effect(name, share, robot, run_s, runs * run_s, rng) for name, share in shares.items()),
-        vehicles=vehicles,
-        runs=runs,
-        steps=plan.steps,
-        **plan.at_last(rng),
-    )
-
-
-def clean(robot: Robot, plan: Plan, variety: str, index: int) -> Case:
-    """Return a session with nothing wrong, but unlike the reference as its variety says."""
-    rng = plan.rng("clean", variety, robot.name, index)
-    runs, steps = plan.runs, plan.steps
-    others = [str(vehicle) for vehicle in rng.permutation(np.arange(2, 7))]
-    about: dict[str, Any] = {"runs": runs, "steps": steps}
-    match variety:
-        case "gentle" | "held" | "waypoints":
-            about |= {"manner": variety}
-        case "short_runs":
-            about |= {"runs": 2 * runs, "steps": max(2, steps // 2)}
-        case "long_runs":
-            about |= {"runs": max(2, runs // 3), "steps": 3 * steps}
-        case "few_runs":
-            about |= {"runs": max(2, round(runs * float(rng.uniform(0.25, 0.5))))}
-        case "pose_noise":
-            about |= {"pose_noise": round(float(rng.uniform(2.0, 3.0)), 3)}
-        case "other_vehicle":
-            about |= {"vehicles": (others[0],)}
-        case "several_vehicles":
-            vehicles = ("1", *others[: int(rng.integers(1, 3))])
-            about |= {"vehicles": vehicles, "runs": max(2, runs // len(vehicles))}
-    about |= plan.at_last(rng)
-    return Case(kind="clean", variety=variety, robot=robot.name, effects=(), **about)
+            return names

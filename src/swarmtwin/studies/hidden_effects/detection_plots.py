@@ -7,8 +7,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
-from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, OUTSIDE
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
 from swarmtwin.studies.hidden_effects.metrics import Proportion
+from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 
 
 def confusion(results: pd.DataFrame) -> pd.DataFrame:
@@ -17,8 +18,8 @@ def confusion(results: pd.DataFrame) -> pd.DataFrame:
     After the catalogue's causes come those that the diagnosis knows beside them, such as a user's own, then no name,
     nothing wrong, and diagnoses that failed.
     """
-    one = results[results.kind.isin(["single", "outside", "clean"])]
-    hidden = one.variety.where(one.kind != "clean", "nothing wrong")
+    one = results[results.kind.isin(["one", "outside", "clean"])]
+    hidden = one.about.where(one.kind != "clean", "nothing wrong")
     silent = one.verdict.map({"unexplained": "no name", "explained": "no name", "no_gap": "nothing wrong"})
     first = one.named.str.split("+").str[0]
     named = first.where(first != "", silent.fillna("failed"))
@@ -62,11 +63,17 @@ def by_rise(results: pd.DataFrame, happened: str) -> list[tuple[float, Proportio
 
 def detection_figure(results: pd.DataFrame) -> Figure:
     """Draw how often single effects are found and named, by how much they raise the error, beside other methods."""
-    single = results[results.kind == "single"]
+    single = results[results.kind == "one"]
     compared = single[single.with_baselines]
+    styles = dict(zip(single.family.unique(), ("-", "--", ":"), strict=False))
     lines = {
-        "found": (FLOOR, "--", by_rise(single, "found")),
-        "named first": (PREDICTED, "-", by_rise(single, "named_first")),
+        **{
+            f"{one}: alarm": (FLOOR, way, by_rise(single[single.family == one], "found")) for one, way in styles.items()
+        },
+        **{
+            f"{one}: named, nothing beside": (PREDICTED, way, by_rise(single[single.family == one], "exact"))
+            for one, way in styles.items()
+        },
         "named first: parameter fitting": (MEASURED, "-", by_rise(compared, "fitting_first")),
         "named first: correlation rules": ("#8d99ae", "-", by_rise(compared, "rule_first")),
     }
@@ -92,7 +99,7 @@ def detection_figure(results: pd.DataFrame) -> Figure:
 
 def parameters_figure(parameters: pd.DataFrame) -> Figure:
     """Draw each parameter's relative errors, a dot a session; those outside their interval in red."""
-    sized = parameters[(parameters.kind == "single") & parameters.error_percent.notna()]
+    sized = parameters[parameters.error_percent.notna()]
     groups = list(sized.groupby(sized.cause + ": " + sized.name))
     with style():
         figure = Figure(figsize=(7, 0.24 * len(groups) + 1.6), layout="constrained")
@@ -102,7 +109,7 @@ def parameters_figure(parameters: pd.DataFrame) -> Figure:
             for chosen, colour in ((inside, FLOOR), (~inside, PREDICTED)):
                 axes.plot(errors[chosen], np.full(chosen.sum(), row), "o", markersize=3, alpha=0.6, color=colour)
             axes.plot(errors.median(), row, "|", markersize=12, color=MEASURED)
-        axes.axvline(3.0, color=MEASURED, linewidth=0.8, linestyle=":")
+        axes.axvline(2.0, color=MEASURED, linewidth=0.8, linestyle=":")
         axes.set(xscale="log", xlabel="error, % of the true value (bar: median; red: outside its interval)")
         axes.set_yticks(range(len(groups)), [str(name) for name, _ in groups])
     return figure
@@ -111,7 +118,7 @@ def parameters_figure(parameters: pd.DataFrame) -> Figure:
 def clean_figure(results: pd.DataFrame) -> Figure:
     """Draw how often a cause was named where nothing is wrong, by kind of session, with upper bounds."""
     clean = results[results.kind == "clean"]
-    groups = [*clean.groupby("variety", sort=False), ("all", clean)]
+    groups = [*clean.groupby("about", sort=False), ("all", clean)]
     with style():
         figure = Figure(figsize=(6, 0.3 * len(groups) + 1.2), layout="constrained")
         axes = figure.subplots()
@@ -120,10 +127,31 @@ def clean_figure(results: pd.DataFrame) -> Figure:
             axes.plot([share.share or 0.0, share.at_most], [row, row], color=FLOOR)
             axes.plot(share.share or 0.0, row, "o", color=PREDICTED if share.count else FLOOR)
             axes.annotate(f" {share.count} of {share.total}", (share.at_most, row), va="center", fontsize=8)
-        axes.axvline(0.01, color=MEASURED, linewidth=0.8, linestyle=":")
+        axes.axvline(0.003, color=MEASURED, linewidth=0.8, linestyle=":")
         axes.set(
             xlabel="share of clean sessions in which a cause is named; line: upper 95 % bound", xlim=(-0.005, None)
         )
         axes.set_yticks(range(len(groups)), [str(name) for name, _ in groups])
         axes.invert_yaxis()
+    return figure
+
+
+def calibration_figure(confidences: pd.DataFrame, groups: int = 6) -> Figure:
+    """Draw how often causes named with a confidence are there: groups of equally many causes, each family a line."""
+    with style():
+        figure = Figure(figsize=(4.5, 4), layout="constrained")
+        axes = figure.subplots()
+        axes.plot([0, 1], [0, 1], color=MEASURED, linewidth=0.8, linestyle=":")
+        colours = (PREDICTED, FLOOR, MEASURED)
+        for (family, own), colour in zip(confidences.groupby("family", sort=False), colours, strict=False):
+            ordered = own.sort_values("confidence")
+            for part in np.array_split(np.arange(len(ordered)), min(groups, len(ordered))):
+                share = Proportion.of(ordered.true.iloc[part])
+                said = float(ordered.confidence.iloc[part].mean())
+                axes.plot([said, said], [share.low, share.high], color=colour, linewidth=0.8)
+                axes.plot(said, share.share or 0.0, "o", color=colour, markersize=4)
+            axes.plot([], [], "o", color=colour, label=str(family))
+        axes.set(xlabel="confidence that a cause is named with", ylabel="share of them that is there, 95 % interval")
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="upper left")
     return figure

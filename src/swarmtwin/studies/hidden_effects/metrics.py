@@ -8,7 +8,7 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from swarmtwin.robot import StrictModel
-from swarmtwin.studies.hidden_effects.results import Result, parameters_table, results_table
+from swarmtwin.studies.hidden_effects.results import Result, confidences_table, parameters_table, results_table
 from swarmtwin.world.rollout import Rate
 
 RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % or more": (10.0, float("inf"))}
@@ -16,7 +16,7 @@ RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % 
 
 MIDDLE, CLEAR = "3 to 10 %", "10 % or more"
 
-NAMING = ("found", "named_first", "listed", "exact")
+NAMING = ("exact", "found", "named_first", "listed", "falsely_named")
 SILENCE = ("found", "not_named", "not_explained")
 ALARMS = ("accused", "alarmed", "harmed")
 
@@ -68,65 +68,107 @@ Proportions = dict[str, Proportion]
 def summarise(results: Sequence[Result]) -> dict[str, Any]:
     """Count everything, of at least one result: the content of metrics.json; None where nothing is known.
 
-    Of single effects, by how much they raise the error, and of pairs and triples:
-        found: something was said to be wrong.
-        named_first: the first cause named is a true one.
-        listed: all true causes are named, or rivals of those named.
-        exact: the causes named are the true ones and no others.
-    Of effects outside the catalogue:
-        found: likewise.
-        not_named: no cause was named.
-        not_explained: it was not said that the catalogue explains it, though causes may be named that explain a part.
-    Of clean sessions:
-        accused: a cause was named.
-        alarmed: something was said to be wrong, with or without a name.
-        harmed: the extended simulation errs by 0.5 % or more above the simulation.
-    Of the methods that name causes, on the same cases: `named_first` and `exact` of single effects that raise the error
-    by 10 % or more, `accused` of clean sessions, and `outside`, those outside the catalogue to which none was given.
-    Of each parameter of a cause named, over single effects: median errors in its own unit, in percent of the true value
-    (not of angles and places, which have no size) and, for factors, of what the true value differs by from doing
-    nothing; `covered`: 95 % intervals that hold the true value.
-    Of the achievable gain on held-out runs, over single effects that raise the error by 10 % or more: median shares of
-    the squared error that the effect had brought, and `to_floor` of all squared error above that of the exact mean, by
-    the diagnosis and by a black-box residual.
-
-    What does not speak for itself:
-        rivals_a_cause: mean number of rivals that a named cause has; of many, one is easily the true one.
-        mean_confidence: of the first causes named of single effects; to be compared with how often they are true.
-        first_right: how often that is.
+    Each family by itself, `families`:
+        one: by how much the effect raises the error, and two, three: sessions in which
+            exact: the causes named are the true ones and no others.
+            found: something was said to be wrong.
+            named_first: the first cause named is a true one.
+            listed: all true causes are named, or rivals of those named.
+            falsely_named: a cause was named that is not there.
+        outside: of what the catalogue does not know
+            found: likewise; costly_found: of what raises the error by 10 % or more.
+            not_named: no cause was named.
+            not_explained: it was not said that the catalogue explains it, though causes may be named for a part.
+        clean: of sessions with nothing wrong
+            accused: a cause was named.
+            alarmed: something was said to be wrong, with or without a name.
+            harmed: the extended simulation errs by 0.5 % or more above the simulation.
+        mechanisms: for each effect of the catalogue, over sessions that hide it alone, `exact` by rise, and over all in
+            which it was named: the median error of its parameters in percent of the true value (not of angles and
+            places, which have no size), and `covered`, 95 % intervals that hold it.
+        parameters: likewise for each single parameter, and in its own unit; for factors also in percent of what the
+            true value differs by from doing nothing.
+        covered, median_parameter_error_percent: over all.
+        calibration_error: see `expected_calibration_error`.
+        gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
+            more: median shares of the squared error that the effects had brought, and `to_floor` of all squared error
+            above that of the exact mean, by the diagnosis and by a black-box residual.
+        seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
+    Over all families: `cases`, `failed`, `outside_by_effect`, `clean_by_variety`, and of the methods that name causes,
+    on the same cases, `methods`: `named_first` and `exact` of single effects that raise the error by 10 % or more,
+    `accused` of clean sessions, and `outside`, those outside the catalogue to which no name was given.
     """
     table = _judged(results_table(results))
-    kinds = {kind: table[table.kind == kind] for kind in ("single", "pair", "triple", "outside", "clean")}
-    single, outside, clean = kinds["single"], kinds["outside"], kinds["clean"]
-    clear = single[in_rise_bin(single, CLEAR)]
-    parameters = parameters_table([result for result in results if result.case.kind == "single"])
-    causes = [cause for result in results for cause in result.causes]
-    first = [result.causes[0] for result in results if result.case.kind == "single" and result.causes]
+    parameters, confidences = parameters_table(results), confidences_table(results)
+    families = {
+        str(family): _family(own, parameters[parameters.family == family], confidences[confidences.family == family])
+        for family, own in table.groupby("family", sort=False)
+    }
+    outside, clean = (table[table.kind == kind] for kind in ("outside", "clean"))
     return {
         "cases": len(table),
         "failed": Proportion.of(table.verdict == "failed"),
-        "single": _naming_by_rise(single),
-        "single_by_robot": _of_each(single, "robot", _naming_by_rise),
-        "single_by_cause": _of_each(single, "variety", _naming_by_rise),
-        "pair": _proportions(kinds["pair"], NAMING),
-        "triple": _proportions(kinds["triple"], NAMING),
-        "outside": _proportions(outside, SILENCE),
-        "outside_by_effect": _of_each(outside, "variety", lambda own: _proportions(own, SILENCE)),
-        "clean": _proportions(clean, ALARMS),
-        "clean_by_variety": _of_each(clean, "variety", lambda own: _proportions(own, ALARMS)),
-        "worst_harm_percent": float(clean.harm_percent.clip(lower=0.0).fillna(0.0).max()) if len(clean) else 0.0,
-        "parameters": _of_each(parameters, parameters.cause + "." + parameters.name, _precision),
-        "median_parameter_error_percent": _median(parameters.error_percent),
-        "covered": Proportion.of(parameters.covered),
-        "gain": _gains(clear),
-        "gain_by_cause": _of_each(clear, "variety", _gains),
+        "families": families,
+        "outside_by_effect": _of_each(outside, "about", _silence),
+        "clean_by_variety": _of_each(clean, "about", lambda own: _proportions(own, ALARMS)),
         "methods": _methods(table),
-        "rivals_a_cause": sum(len(cause.rivals) for cause in causes) / len(causes) if causes else None,
-        "mean_confidence": sum(cause.confidence for cause in first) / len(first) if first else None,
-        "first_right": Proportion.of(single.named_first[single.named != ""]),
-        "median_seconds": float(table.seconds.median()),
-        "longest_seconds": float(table.seconds.max()),
     }
+
+
+def _family(table: pd.DataFrame, parameters: pd.DataFrame, confidences: pd.DataFrame) -> dict[str, Any]:
+    one, outside, clean = (table[table.kind == kind] for kind in ("one", "outside", "clean"))
+    hiding = table[table.kind.isin(["one", "two", "three"])]
+    return {
+        "cases": len(table),
+        "failed": Proportion.of(table.verdict == "failed"),
+        "one": _naming_by_rise(one),
+        **{kind: _proportions(table[table.kind == kind], NAMING) for kind in ("two", "three")},
+        "outside": _silence(outside),
+        "clean": _proportions(clean, ALARMS),
+        "mechanisms": {name: _mechanism(name, one, parameters) for name in one.about.unique()},
+        "parameters": _of_each(parameters, parameters.cause + "." + parameters.name, _precision),
+        "covered": Proportion.of(parameters.covered),
+        "median_parameter_error_percent": _median(parameters.error_percent),
+        "named_causes": len(confidences),
+        "calibration_error": expected_calibration_error(confidences.confidence, confidences.true),
+        "gain": _gains(hiding[in_rise_bin(hiding, CLEAR)]),
+        "seconds": _median_and_most(table.seconds),
+        "learning_seconds": _median_and_most(table.learning_seconds),
+        "memory_mb": _median_and_most(table.memory_mb),
+    }
+
+
+def _mechanism(name: str, one: pd.DataFrame, parameters: pd.DataFrame) -> dict[str, Any]:
+    alone, own = one[one.about == name], parameters[parameters.cause == name]
+    return {
+        "exact": {bin_name: Proportion.of(alone.exact[in_rise_bin(alone, bin_name)]) for bin_name in RISE_BINS},
+        "median_error_percent": _median(own.error_percent),
+        "covered": Proportion.of(own.covered),
+    }
+
+
+def expected_calibration_error(confidence: pd.Series, true: pd.Series, bins: int = 10) -> float | None:
+    """Return by how much confidences miss how often they are right, averaged over the causes named (Naeini, 2015).
+
+    Causes are sorted into bins of equal width by their confidence; in each the mean confidence is compared with the
+    share that is true.
+    """
+    if not len(confidence):
+        return None
+    said, right = confidence.to_numpy(float), true.to_numpy(float)
+    which = np.minimum((said * bins).astype(int), bins - 1)
+    away = np.abs(np.bincount(which, said, bins) - np.bincount(which, right, bins))
+    return float(away.sum() / len(said))
+
+
+def _silence(table: pd.DataFrame) -> Proportions:
+    costly = Proportion.of(table.found[in_rise_bin(table, CLEAR)])
+    return {**_proportions(table, SILENCE), "costly_found": costly}
+
+
+def _median_and_most(values: pd.Series) -> dict[str, float | None]:
+    known = values.dropna().astype(float)
+    return {"median": _median(values), "most": float(known.max()) if len(known) else None}
 
 
 def in_rise_bin(table: pd.DataFrame, name: str) -> pd.Series:
@@ -187,7 +229,7 @@ def _methods(table: pd.DataFrame) -> dict[str, Proportions]:
     methods = {}
     for method, (named, first, exact) in METHODS.items():
         cases = table if method == "diagnosis" else table[table.with_baselines]
-        clear = cases[(cases.kind == "single") & in_rise_bin(cases, CLEAR)]
+        clear = cases[(cases.kind == "one") & in_rise_bin(cases, CLEAR)]
         if len(cases):
             methods[method] = {
                 "named_first": Proportion.of(clear[first]),

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from pydantic import Field
 
 from swarmtwin.diagnosis.result import Cause, Estimate, Verdict
 from swarmtwin.geometry import wrap_angle
@@ -20,7 +21,7 @@ class HeldOutGain(StrictModel):
     Attributes:
         before_mm: mean position error of the simulation as it was.
         after_mm: of the extended one.
-        least_mm: of the stand-in's exact mean displacement.
+        least_mm: of the stand-in's exact mean displacement; null where only an engine knows it.
         share: of the squared error that the effect had brought, the part that is gone again; null where it had brought
             next to nothing. Squared, which an exact mean makes least: where commands are lost a prediction of the
             likeliest motion earns none of it.
@@ -30,7 +31,7 @@ class HeldOutGain(StrictModel):
 
     before_mm: float
     after_mm: float
-    least_mm: float
+    least_mm: float | None
     share: float | None
     share_to_floor: float | None
 
@@ -53,27 +54,39 @@ class Result(StrictModel):
     """What came of a case.
 
     Attributes:
-        case: what was hidden where.
-        rise_percent: by how much the effect raised the simulation's one-step error, position or orientation, whichever
-            more, over that of the same session without it; of a diagnosis that failed 100, the strictest.
+        case: what was asked for.
+        effects: what was hidden, as `record` takes it: names and parameters.
+        true_causes: the causes that should be named, with what their parameters should be said to be.
+        rise_percent: by how much that raised a simulation's one-step error: see `sessions.Truth`.
+        same_vehicle: whether the vehicle was the reference's.
+        transitions: how many were measured.
         verdict: of the diagnosis; null where it failed.
         failure: why it failed.
         causes: in the order named.
         depends_on: what the residual depended on.
         gained: by the extended simulation.
         baselines: null where they were left out.
-        seconds: that the diagnosis took.
+        seconds: that the diagnosis took, given the reference.
+        learning_seconds: that the reference took to learn.
+        memory_mb: the most memory that the process had while it learned the reference and diagnosed. All three are null
+            where the diagnosis failed.
     """
 
     case: Case
+    effects: tuple[dict[str, Any], ...] = ()
+    true_causes: dict[str, dict[str, float]] = Field(default_factory=dict)
     rise_percent: float
+    same_vehicle: bool = True
+    transitions: int
     verdict: Verdict | None = None
     failure: str | None = None
     causes: tuple[Cause, ...] = ()
     depends_on: tuple[str, ...] = ()
     gained: HeldOutGain | None = None
     baselines: Baselines | None = None
-    seconds: float
+    seconds: float | None = None
+    learning_seconds: float | None = None
+    memory_mb: float | None = None
 
 
 def results_table(results: Sequence[Result]) -> pd.DataFrame:
@@ -84,6 +97,7 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         named_first: the first cause named is a true one.
         listed: every true cause is named, or a rival of one that is.
         exact: the causes named are the true ones, all of them and no other.
+        falsely_named: a cause is named that is not there.
         fitting_first, fitting_exact, rule_first: likewise of the other methods.
     """
     return pd.DataFrame([_row(result) for result in results])
@@ -97,8 +111,9 @@ def _row(result: Result) -> dict[str, Any]:
     rule = (others.rule,) if others and others.rule else ()
     black_box = others.black_box if others else None
     return {
+        "family": case.family,
         "kind": case.kind,
-        "variety": case.variety,
+        "about": case.about,
         "robot": case.robot,
         "rise_percent": result.rise_percent,
         "verdict": result.verdict or "failed",
@@ -108,6 +123,7 @@ def _row(result: Result) -> dict[str, Any]:
         "named_first": bool(set(named[:1]) & set(true)),
         "listed": bool(true) and set(true) <= {*named, *rivals},
         "exact": result.verdict is not None and sorted(named) == sorted(true),
+        "falsely_named": bool(set(named) - set(true)),
         "depends_on": "+".join(result.depends_on),
         **{name: getattr(result.gained, name, None) for name in HeldOutGain.model_fields},
         "with_baselines": others is not None,
@@ -117,15 +133,13 @@ def _row(result: Result) -> dict[str, Any]:
         "rule": "+".join(rule),
         "rule_first": rule == true,
         **{f"black_box_{name}": getattr(black_box, name, None) for name in ("after_mm", "share", "share_to_floor")},
-        "runs": case.runs,
-        "steps": case.steps,
-        "vehicles": " ".join(case.vehicles),
-        "manner": case.manner,
-        "pose_noise": case.pose_noise,
-        "effects": json.dumps(case.effects),
+        "same_vehicle": result.same_vehicle,
+        "transitions": result.transitions,
+        "effects": json.dumps(result.effects),
         "seed": case.seed,
-        "reference": case.reference,
         "seconds": result.seconds,
+        "learning_seconds": result.learning_seconds,
+        "memory_mb": result.memory_mb,
         "failure": result.failure,
     }
 
@@ -137,7 +151,7 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
     `covered` says whether the 95 % interval holds the true value.
     """
-    about, said = ["robot", "kind", "seed", "cause", "name", "true"], list(Estimate.model_fields)
+    about, said = ["family", "robot", "kind", "seed", "cause", "name", "true"], list(Estimate.model_fields)
     table = pd.DataFrame([row for result in results for row in _parameters(result)], columns=[*about, *said])
     true = table.true.astype(float)
     has_size = ~table.name.isin(["angle_rad", "direction_rad", "x_mm", "y_mm", "forward_mm", "left_mm"]) & (true != 0)
@@ -152,16 +166,25 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
 def _parameters(result: Result) -> Iterator[dict[str, Any]]:
     """Return what is said of the parameters of the causes that are true, beside what they are."""
     case = result.case
-    effects = {effect["name"]: effect for effect in case.effects if effect["name"] in case.true_names}
     for cause in result.causes:
         for name, estimate in cause.parameters.items():
-            true = effects.get(cause.name, {}).get(name)
+            true = result.true_causes.get(cause.name, {}).get(name)
             if true is None:
                 continue
             if name == "direction_rad":  # the same direction, as near to what is said as it can be told
                 true = estimate.value + float(wrap_angle(np.array(true - estimate.value)))
-            about = {"robot": case.robot, "kind": case.kind, "seed": case.seed, "cause": cause.name, "name": name}
-            yield {**about, "true": true, **estimate.model_dump()}
+            about = {"family": case.family, "robot": case.robot, "kind": case.kind, "seed": case.seed}
+            yield {**about, "cause": cause.name, "name": name, "true": true, **estimate.model_dump()}
+
+
+def confidences_table(results: Sequence[Result]) -> pd.DataFrame:
+    """Return one row a cause that was named: `family`, the `confidence` it was named with, and whether it is `true`."""
+    rows = [
+        {"family": result.case.family, "confidence": cause.confidence, "true": cause.name in result.case.true_names}
+        for result in results
+        for cause in result.causes
+    ]
+    return pd.DataFrame(rows, columns=["family", "confidence", "true"])
 
 
 def append_result(path: Path, result: Result) -> None:

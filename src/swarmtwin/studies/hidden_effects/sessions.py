@@ -1,100 +1,201 @@
-"""The recording of a case, and what only its stand-in knows: its clean twin, and the least error there can be."""
+"""The recordings of a case, and what only its stand-in knows: what hides, its clean twin, the least error there is."""
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtwin.geometry import wrap_angle
+from swarmtwin.configuration import config_folder
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.recordings.writing import HEADING_DECIMALS, POSITION_DECIMALS
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.exact_means import mean_given_state
 from swarmtwin.standin.session import DrivenSession, StandInSession
 from swarmtwin.studies.hidden_effects.cases import Case
-from swarmtwin.studies.hidden_effects.outside_effects import EFFECTS
+from swarmtwin.studies.hidden_effects.clean_sessions import CleanSession, blurred, clean_session
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
+from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, rise_percent, size_that_raises
+from swarmtwin.studies.hidden_effects.families import Family, driver_of, session_options
+from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS, OUTSIDE_PARAMETERS
 from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import Transitions, from_recording
 
 
 @dataclass(frozen=True)
-class HiddenSession:
-    """A case's session, in which the camera misses one pose in a thousand.
+class FilmedSession:
+    """A session, driven and filmed.
 
     Attributes:
+        family: whose physics moved the vehicles.
         footage: with all that the stand-in knows.
         recording: what a laboratory would have.
         transitions: of the recording.
     """
 
+    family: Family
     footage: DrivenSession
     recording: Recording
     transitions: Transitions
 
-    def least_displacement(self, transitions: Transitions) -> np.ndarray:
-        """Return the exact mean displacements (N, 3) of transitions of this recording, given the true states."""
+    def least_displacement(self, transitions: Transitions) -> np.ndarray | None:
+        """Return the exact mean displacements (N, 3) of transitions of this recording, given the true states.
+
+        None where an engine moved the vehicles: only formulas tell them.
+        """
+        if self.family == "rigid_body":
+            return None
         away_s = np.abs(self.footage.time_s[transitions.run] - transitions.time_s[:, None])
         vehicles = np.array([self.footage.session.vehicles.index(vehicle) for vehicle in transitions.vehicles])
         expected: np.ndarray = mean_given_state(self.footage)
         return expected[transitions.run, away_s.argmin(axis=1), vehicles[transitions.vehicle]].astype(float)
 
 
-def effects_of(case: Case, robot: Robot) -> tuple[Effect, ...]:
-    """Return the effects that a case hides."""
-    if case.kind != "outside":
-        return parse_effects(case.effects, robot, len(case.vehicles))
+@dataclass(frozen=True)
+class Truth:
+    """What a diagnosis is judged by, and never sees.
+
+    Attributes:
+        case: what was asked for.
+        effects: what is hidden, as `record` takes it: names and parameters.
+        rise_percent: by how much all of them together raise the one-step error of a simulation that learned the
+            reference, position or orientation, whichever more, over that of the same session without them; 0 where
+            nothing is hidden.
+        same_vehicle: whether the vehicle is the one that the reference was recorded of.
+        measured: the session, with all that the stand-in knows.
+        twin: the same session with the same chances and nothing hidden in it.
+    """
+
+    case: Case
+    effects: tuple[dict[str, Any], ...]
+    rise_percent: float
+    same_vehicle: bool
+    measured: FilmedSession
+    twin: FilmedSession
+
+    @cached_property
+    def causes(self) -> dict[str, dict[str, float]]:
+        """The causes that are to be named, with their parameters; none where the catalogue has no name.
+
+        A clock that is never steady shows its usual spread and what was hidden together.
+        """
+        if self.case.kind == "outside":
+            return {}
+        causes = {effect["name"]: {key: one for key, one in effect.items() if key != "name"} for effect in self.effects}
+        if "timing_jitter" in causes:
+            usual = self.measured.footage.session.conditions.character.jitter
+            causes["timing_jitter"]["spread"] = math.hypot(causes["timing_jitter"]["spread"], usual)
+        return causes
+
+
+class RecordedSession(NamedTuple):
+    """All of a case: the recording that the simulation is learned from, the one in question, and the truth about it."""
+
+    reference: Recording
+    measured: Recording
+    truth: Truth
+
+
+def record_session(case: Case) -> RecordedSession:
+    """Record a case, the same each time: its reference, and the session that something may hide in."""
+    robot = Robot.load(config_folder() / "robot" / f"{case.robot}.yaml")
+    reference = _film(CleanSession(reference_session(case, robot)), robot, case)
+    plan = _measured_session(case, robot)
+    twin = _film(plan, robot, case)
+    if not case.names:
+        truth = Truth(case, (), 0.0, _same_vehicle(reference, twin), twin, twin)
+        return RecordedSession(reference.recording, twin.recording, truth)
+    simulation = PlainSimulation.learn(reference.transitions)
+    effects = _sized_effects(case, plan.session, simulation)
+    session = replace(plan.session, effects=made_effects(effects, plan.session))
+    measured = _film(CleanSession(session), robot, case)
+    rise = rise_percent(simulation.error(measured.transitions), simulation.error(twin.transitions))
+    truth = Truth(case, effects, rise, _same_vehicle(reference, measured), measured, twin)
+    return RecordedSession(reference.recording, measured.recording, truth)
+
+
+def reference_session(case: Case, robot: Robot) -> StandInSession:
+    """Return what the simulation is learned from: any unit of the robot, with nothing wrong."""
+    rng = case.rng("reference")
+    unit, seed = str(rng.integers(1, 10)), int(rng.integers(2**31))
+    return _usual(case, robot, (unit,), case.reference_runs, seed)
+
+
+def made_effects(entries: tuple[dict[str, Any], ...], session: StandInSession) -> tuple[Effect, ...]:
+    """Make effects, of the catalogue or outside it, of their names and parameters."""
+    made: list[Effect] = []
+    for entry in entries:
+        if entry["name"] in CATALOGUE:
+            made += parse_effects([entry], session.robot, len(session.vehicles))
+        else:
+            own = {key: value for key, value in entry.items() if key != "name"}
+            made.append(OUTSIDE_EFFECTS[entry["name"]].parse(own, entry["name"]))
+    return tuple(made)
+
+
+def _usual(case: Case, robot: Robot, vehicles: tuple[str, ...], runs: int, seed: int) -> StandInSession:
+    options = session_options(case.family)
+    return StandInSession(robot, vehicles, runs, case.steps, seed, lost_poses=0.001, **options)
+
+
+def _measured_session(case: Case, robot: Robot, same_vehicle: float = 0.6) -> CleanSession:
+    """Return what is measured, without what hides in it: of the reference's vehicle, or else another."""
+    rng = case.rng("measured")
+    unit = reference_session(case, robot).vehicles[0]
+    others = [str(number) for number in rng.permutation(np.arange(1, 10)) if str(number) != unit]
+    seed = int(rng.integers(2**31))
+    if case.kind == "clean":
+        return clean_session(case.variety, _usual(case, robot, (unit,), case.runs, seed), rng)
+    vehicles: tuple[str, ...] = (unit,) if rng.random() < same_vehicle else (others[0],)
+    if "neighbour_interaction" in case.names:
+        vehicles = (*vehicles, others[1])
+    return CleanSession(_usual(case, robot, vehicles, max(8, case.runs // len(vehicles)), seed))
+
+
+def _sized_effects(case: Case, session: StandInSession, simulation: PlainSimulation) -> tuple[dict[str, Any], ...]:
+    """Return the effects of a case, each so large that alone it raises the simulation's error as asked for."""
     return tuple(
-        EFFECTS[effect["name"]].parse({key: value for key, value in effect.items() if key != "name"}, effect["name"])
-        for effect in case.effects
+        sized_effect(name, rise, case, session, simulation)
+        for name, rise in zip(case.names, case.rises_percent, strict=True)
     )
 
 
-def measure(case: Case, robot: Robot) -> HiddenSession:
-    """Drive and film a case."""
-    return _filmed(case, robot, effects_of(case, robot))
+def sized_effect(
+    name: str, wanted_percent: float, case: Case, session: StandInSession, simulation: PlainSimulation, runs: int = 30
+) -> dict[str, Any]:
+    """Return one effect, whose size is found on a shorter session of its own."""
+    trial = replace(session, runs=min(runs, session.runs), seed=int(case.rng("trial").integers(2**31)))
+    drive = driver_of(case.family)
+    usual = simulation.error(from_recording(record(trial, drive=drive)[1])[0])
+
+    def rise(size: float) -> float:
+        hidden = made_effects((sized_entry(name, size, case, trial),), trial)
+        transitions, _ = from_recording(record(replace(trial, effects=hidden), drive=drive)[1])
+        return rise_percent(simulation.error(transitions), usual)
+
+    sizes = {**CATALOGUE, **OUTSIDE}[name][case.robot]
+    return sized_entry(name, size_that_raises(wanted_percent, sizes, rise), case, session)
 
 
-def clean_twin(case: Case, robot: Robot) -> HiddenSession:
-    """Drive the same session again, with the same chances, but with nothing hidden in it."""
-    return _filmed(case, robot, ())
+def sized_entry(name: str, size: float, case: Case, session: StandInSession) -> dict[str, Any]:
+    """Return an effect of some size as `record` takes it; what else is left to chance is the same for every size."""
+    drawn = Draw(size, session.robot, session.run_length_s, session.length_s, case.rng(f"effect {name}"))
+    parameters = {**PARAMETERS, **OUTSIDE_PARAMETERS}[name](drawn)
+    rounded = {key: round(one, 5) if isinstance(one, float) else one for key, one in parameters.items()}
+    return {"name": name, **rounded}
 
 
-def reference_session(robot: Robot, runs: int, steps: int, seed: int) -> HiddenSession:
-    """Drive vehicle 1 as it was when the simulation was learned."""
-    case = Case(kind="clean", variety="plain", robot=robot.name, effects=(), runs=runs, steps=steps, seed=seed)
-    return clean_twin(case, robot)
-
-
-def _filmed(case: Case, robot: Robot, effects: Sequence[Effect]) -> HiddenSession:
-    session = StandInSession(
-        robot=robot,
-        vehicles=case.vehicles,
-        runs=case.runs,
-        steps=case.steps,
-        seed=case.seed,
-        effects=effects,
-        command_mode=case.manner,
-        lost_poses=0.001,
-    )
-    footage, recording = record(session)
-    if case.pose_noise > 1.0:
-        recording = _blurred(recording, footage, case)
+def _film(plan: CleanSession, robot: Robot, case: Case) -> FilmedSession:
+    """Drive and film a session; the recording is of the robot as its file describes it, in its own arena."""
+    footage, recording = record(plan.session, drive=driver_of(case.family))
+    recording = replace(recording, robot=robot)
+    if plan.pose_noise > 1.0:
+        recording = blurred(recording, plan.session, plan.pose_noise, case.rng("blur"))
     transitions, _ = from_recording(recording)
-    return HiddenSession(footage, recording, transitions)
+    return FilmedSession(case.family, footage, recording, transitions)
 
 
-def _blurred(recording: Recording, footage: DrivenSession, case: Case) -> Recording:
-    """Add to the camera's noise until it is `case.pose_noise` times as large."""
-    physics = footage.session.physics(case.vehicles)
-    usual = np.array([physics.position_noise_mm, physics.position_noise_mm, physics.heading_noise_rad])
-    size = usual * np.sqrt(case.pose_noise**2 - 1.0)
-    rng = np.random.default_rng([case.seed, 1])
-    tracks = []
-    for track in recording.tracks:
-        pose = track.pose + size * rng.standard_normal(track.pose.shape)
-        pose[:, :2] = pose[:, :2].round(POSITION_DECIMALS)
-        pose[:, 2] = wrap_angle(pose[:, 2]).round(HEADING_DECIMALS)
-        tracks.append(replace(track, pose=pose))
-    return replace(recording, tracks=tuple(tracks))
+def _same_vehicle(reference: FilmedSession, measured: FilmedSession) -> bool:
+    return reference.footage.session.vehicles[0] == measured.footage.session.vehicles[0]

@@ -1,13 +1,12 @@
 """`swarmtwin experiment name=hidden_effects`: hide effects in stand-ins, and count what the diagnosis makes of them.
 
-Every cause of the catalogue, clear and faint; two and three at once; effects that the catalogue does not know; sessions
-with nothing wrong. The diagnosis sees the recordings alone.
+Every cause of the catalogue, clear and faint; two and three at once; what no catalogue knows; sessions with nothing
+wrong: on several families of stand-ins, each session with a reference of its own. The diagnosis sees two recordings.
 """
 
 import json
 import logging
 import shutil
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,120 +17,152 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from swarmtwin.configuration import config_folder
-from swarmtwin.diagnosis.reference import Reference
-from swarmtwin.errors import UserError
+from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, write_text
 from swarmtwin.learning.device import one_thread
 from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.standin.session import require_stand_in
-from swarmtwin.studies.hidden_effects.cases import Case, CaseCounts, Plan, draw_cases
+from swarmtwin.studies.hidden_effects.cases import KINDS, Case, Kind, cases
 from swarmtwin.studies.hidden_effects.detection_plots import (
+    calibration_figure,
     clean_figure,
     confusion_figure,
     detection_figure,
     parameters_figure,
 )
+from swarmtwin.studies.hidden_effects.families import FAMILIES, Family, driver_of, is_available
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
 from swarmtwin.studies.hidden_effects.results import (
     Result,
     append_result,
+    confidences_table,
     parameters_table,
     read_results,
     results_table,
 )
 from swarmtwin.studies.hidden_effects.scoring import score_case
-from swarmtwin.studies.hidden_effects.sessions import reference_session
 from swarmtwin.studies.hidden_effects.tables import study_tables
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import as_texts
 
+Words = Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]
+Count = Annotated[int, Field(ge=0)]
 
-class ReferenceOptions(StrictModel):
-    """How long the recording is that the simulation is learned from."""
 
-    runs: Annotated[int, Field(ge=1)]
-    steps: Annotated[int, Field(ge=1)]
+class SessionCounts(StrictModel):
+    """How many sessions of each kind there are in each family."""
+
+    one: Count
+    two: Count
+    three: Count
+    outside: Count
+    clean: Count
+
+
+class Scales(StrictModel):
+    """How large the study is."""
+
+    quick: SessionCounts
+    full: SessionCounts
+
+
+class Lengths(StrictModel):
+    """How long recordings are: runs of a usual session, transitions in its runs, and runs of its reference."""
+
+    runs: Annotated[int, Field(ge=8)]
+    steps: Annotated[int, Field(ge=2)]
+    reference_runs: Annotated[int, Field(ge=8)]
 
 
 class Options(StrictModel):
     """Options; their defaults stand in conf/experiment/hidden_effects.yaml."""
 
     name: Literal["hidden_effects"]
-    robots: Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]
-    cases: Literal["all", "quick"] | Annotated[tuple[str, ...], BeforeValidator(as_texts)]
-    count: CaseCounts
-    runs: Annotated[int, Field(ge=1)]
-    steps: Annotated[int, Field(ge=2)]
-    references: Annotated[int, Field(ge=1)]
-    reference: ReferenceOptions
+    scale: Literal["quick", "full"]
+    count: Scales
+    families: Words | None
+    kinds: Words
+    robots: Words
+    lengths: Lengths
     baselines: bool
     processes: Annotated[int, Field(ge=1)] | None
     seed: Seed
     output: Path
     overwrite: bool
 
-    @property
-    def plan(self) -> Plan:
-        """What all cases are drawn from."""
-        return Plan(seed=self.seed, runs=self.runs, steps=self.steps, references=self.references)
+    def drawn_cases(self) -> list[Case]:
+        """Return the cases, family by family and kind by kind.
+
+        Raises:
+            UserError: a family or kind that there is not, or a family whose engine is missing.
+        """
+        counts = getattr(self.count, self.scale).model_dump()
+        return [
+            case
+            for family in self._chosen_families()
+            for kind in self._chosen_kinds()
+            for case in cases(family, kind, counts[kind], self.seed, self.robots, **self.lengths.model_dump())
+        ]
+
+    def _chosen_families(self) -> tuple[Family, ...]:
+        if self.families is None:
+            return tuple(family for family in FAMILIES if is_available(family))
+        for family in self.families:
+            if family not in FAMILIES:
+                raise UserError(f"families: no such family: {family!r}: {near_miss(family, FAMILIES)}")
+        chosen = tuple(family for family in FAMILIES if family in self.families)
+        for family in chosen:
+            driver_of(family)
+        return chosen
+
+    def _chosen_kinds(self) -> tuple[Kind, ...]:
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise UserError(f"kinds: no such kind: {kind!r}: {near_miss(kind, KINDS)}")
+        return tuple(kind for kind in KINDS if kind in self.kinds)
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Cases that one process compares with the same reference.
+class ScoringJob:
+    """A case that one process records, diagnoses and judges.
 
     Attributes:
-        robot: whose sessions they are.
-        options: how long the reference is.
-        seed: of the reference.
-        cases: to diagnose.
-        with_baselines: whether the other methods work on them as well.
+        case: the session.
+        with_baselines: whether the other methods work on it as well.
     """
 
-    robot: Robot
-    options: ReferenceOptions
-    seed: int
-    cases: tuple[Case, ...]
+    case: Case
     with_baselines: bool
 
     def run(self, report: Report | None) -> None:
-        """Learn the reference and score all cases; each result is reported as soon as it is there."""
+        """Score the case; its result is reported as soon as it is there."""
         with one_thread(), quieter("swarmtwin.transitions", logging.WARNING):
-            reference = learned_reference(self.robot, self.options, self.seed)
-            for case in self.cases:
-                result = score_case(case, self.robot, reference, self.with_baselines)
-                if report:
-                    report(result)
-
-
-def learned_reference(robot: Robot, options: ReferenceOptions, seed: int) -> Reference:
-    """Learn the simulation of vehicle 1 from a session with nothing wrong."""
-    recorded = reference_session(robot, options.runs, options.steps, seed)
-    return Reference.learn(recorded.transitions, seed)
+            result = score_case(self.case, self.with_baselines)
+        if report:
+            report(result)
 
 
 def run(options: Options) -> dict[str, Any]:
     """Draw the cases, diagnose each, count, save tables and figures, show the most important ones; return them.
 
     Raises:
-        UserError: a robot without a stand-in, an unknown kind of case, or the output is taken.
+        UserError: a robot without a stand-in, an unknown kind or family of sessions, or the output is taken.
     """
     settings = options.model_dump(mode="json")
     check_output(options.output, "experiment", options.overwrite)
-    robots = [Robot.load(config_folder() / "robot" / f"{name}.yaml") for name in dict.fromkeys(options.robots)]
-    for robot in robots:
-        require_stand_in(robot)
-    cases = draw_cases(robots, options.plan, options.count, options.cases)
-    if not cases:
-        raise UserError("no case is left: give more kinds in cases=[...]")
+    for name in dict.fromkeys(options.robots):
+        require_stand_in(Robot.load(config_folder() / "robot" / f"{name}.yaml"))
+    drawn = options.drawn_cases()
+    if not drawn:
+        raise UserError(f"no session is left: give more in count.{options.scale}, kinds=[...] or families=[...]")
     with (
         new_folder(options.output, "experiment", settings, options.overwrite, resumable=True) as folder,
         tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked,
     ):
         file = folder / CHECKPOINTS / "results.jsonl"
-        results = _results(options, robots, cases, file)
+        results = _results(options, drawn, file)
         shutil.copy(file, folder)
         summary = summarise(results)
         _save(folder, results, summary)
@@ -144,43 +175,34 @@ def run(options: Options) -> dict[str, Any]:
     return {**_tracked(summary), "output": str(options.output)}
 
 
-def _results(options: Options, robots: list[Robot], cases: list[Case], file: Path) -> list[Result]:
+def _results(options: Options, drawn: list[Case], file: Path) -> list[Result]:
     """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
-    known = read_results(file, cases)
+    known = read_results(file, drawn)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("sessions diagnosed", total=len(cases), completed=len(known))
+        task = bar.add_task("sessions diagnosed", total=len(drawn), completed=len(known))
 
         def keep(result: Result) -> None:
             append_result(file, result)
             known[result.case.key] = result
             bar.advance(task)
 
-        missing = [case for case in cases if case.key not in known]
-        run_side_by_side(list(_batches(options, robots, missing)), keep, options.processes)
-    return [known[case.key] for case in cases]
-
-
-def _batches(options: Options, robots: list[Robot], cases: list[Case], largest: int = 16) -> Iterator[Batch]:
-    """Put cases of one robot and reference together, `largest` at most: more would leave processes idle in the end."""
-    for robot in robots:
-        for number in range(options.references):
-            own = [case for case in cases if case.robot == robot.name and case.reference == number]
-            seed = int(options.plan.rng("reference", robot.name, number).integers(2**31))
-            for first in range(0, len(own), largest):
-                yield Batch(robot, options.reference, seed, tuple(own[first : first + largest]), options.baselines)
+        missing = [ScoringJob(case, options.baselines) for case in drawn if case.key not in known]
+        run_side_by_side(missing, keep, options.processes)
+    return [known[case.key] for case in drawn]
 
 
 def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
     table, parameters = results_table(results), parameters_table(results)
-    rounded = table.infer_objects().round({"rise_percent": 2, "seconds": 2}).round(4)
-    rounded.to_csv(folder / "results.csv", index=False)
+    rounded = table.infer_objects().round({"rise_percent": 2, "seconds": 2, "learning_seconds": 2, "memory_mb": 0})
+    rounded.round(4).to_csv(folder / "results.csv", index=False)
     parameters.to_csv(folder / "parameters.csv", index=False)
     write_text(folder / "metrics.json", json.dumps(summary, indent=1, default=Proportion.model_dump) + "\n")
     figures: dict[str, Figure] = {
         "confusion": confusion_figure(table),
         "detection": detection_figure(table),
         "parameters": parameters_figure(parameters),
+        "calibration": calibration_figure(confidences_table(results)),
         "clean": clean_figure(table),
     }
     for name, figure in figures.items():
@@ -191,13 +213,17 @@ def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
 
 
 def _tracked(summary: dict[str, Any]) -> dict[str, float]:
-    proportions = {
-        "single_found": summary["single"][CLEAR]["found"],
-        "single_named_first": summary["single"][CLEAR]["named_first"],
-        "pair_exact": summary["pair"]["exact"],
-        "triple_exact": summary["triple"]["exact"],
-        "outside_not_named": summary["outside"]["not_named"],
-        "clean_accused": summary["clean"]["accused"],
-        "intervals_covered": summary["covered"],
-    }
-    return {name: one.share for name, one in proportions.items() if one.share is not None}
+    """Return the headline figures of each family, as MLflow keeps them."""
+    figures: dict[str, float] = {}
+    for family, own in summary["families"].items():
+        proportions = {
+            "one_exact": own["one"][CLEAR]["exact"],
+            "two_exact": own["two"]["exact"],
+            "three_exact": own["three"]["exact"],
+            "outside_not_named": own["outside"]["not_named"],
+            "clean_accused": own["clean"]["accused"],
+            "clean_alarmed": own["clean"]["alarmed"],
+            "intervals_covered": own["covered"],
+        }
+        figures |= {f"{family}_{name}": one.share for name, one in proportions.items() if one.share is not None}
+    return figures

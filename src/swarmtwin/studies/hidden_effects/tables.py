@@ -1,13 +1,15 @@
 """The tables of the study, for the terminal and for its report.md alike."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from rich import box
 from rich.table import Table
 
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, SILENCE, Proportion, Proportions
+from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, Proportion
+
+Families = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -37,49 +39,38 @@ class StudyTable:
 def study_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
     """Return all tables, the most important first."""
     yield _marks_table(summary)
-    bins = {"all": summary["single"], **summary["single_by_robot"], **summary["single_by_cause"]}
-    yield StudyTable(
-        "One effect, by how much it raises the error",
-        ("effect", *(f"{name}: found, named first" for name in RISE_BINS), "listed"),
-        [[name, *map(_found_and_named, own.values()), _few(own[CLEAR]["listed"])] for name, own in bins.items()],
-    )
-    yield StudyTable(
-        "Nothing wrong",
-        ("session", "cause named", "at most (95 %)", "alarmed", "error raised"),
-        [
-            [name, _few(own["accused"]), f"{own['accused'].at_most:.1%}", _few(own["alarmed"]), _few(own["harmed"])]
-            for name, own in {"all": summary["clean"], **summary["clean_by_variety"]}.items()
-        ],
-    )
-    yield StudyTable(
-        "Outside the catalogue",
-        ("effect", "found", "no name given", "not said to be explained"),
-        [
-            [name, *(_few(own[column]) for column in SILENCE)]
-            for name, own in {"all": summary["outside"], **summary["outside_by_effect"]}.items()
-        ],
-    )
+    for family, own in summary["families"].items():
+        yield _mechanisms_table(family, own)
     yield StudyTable(
         "Parameters of causes named",
         ("parameter", "cases", "median error", "of its value", "of its change", "in the interval"),
         [
             [
-                name,
-                str(own["count"]),
-                f"{own['median_error']:.3g} {own['unit']}".strip(),
-                _percent(own["median_error_percent"], 1.0),
-                _percent(own["median_error_of_change_percent"], 1.0),
-                _few(own["covered"]),
+                f"{family}: {name}",
+                str(one["count"]),
+                f"{one['median_error']:.3g} {one['unit']}".strip(),
+                _percent(one["median_error_percent"], 1.0),
+                _percent(one["median_error_of_change_percent"], 1.0),
+                _few(one["covered"]),
             ]
-            for name, own in sorted(summary["parameters"].items())
+            for family, own in summary["families"].items()
+            for name, one in sorted(own["parameters"].items())
         ],
     )
     yield StudyTable(
-        "Median share of the achievable gain, error up by 10 % or more",
-        ("effect", "cases", "diagnosis", "black box", "to the floor: diagnosis", "black box"),
+        "In no catalogue",
+        ("effect", "alarm", "alarm where the error is up by 10 % or more", "no name given", "not said to be explained"),
         [
-            [name, str(own["count"]), *(_percent(share) for column, share in own.items() if column != "count")]
-            for name, own in {"all": summary["gain"], **summary["gain_by_cause"]}.items()
+            [name, *(_few(own[column]) for column in ("found", "costly_found", "not_named", "not_explained"))]
+            for name, own in summary["outside_by_effect"].items()
+        ],
+    )
+    yield StudyTable(
+        "Nothing wrong",
+        ("session", "cause named", "at most (95 %)", "alarm", "error raised"),
+        [
+            [name, _few(own["accused"]), f"{own['accused'].at_most:.1%}", _few(own["alarmed"]), _few(own["harmed"])]
+            for name, own in summary["clean_by_variety"].items()
         ],
     )
     if len(summary["methods"]) > 1:
@@ -91,43 +82,61 @@ def study_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
 
 
 def _marks_table(summary: dict[str, Any]) -> StudyTable:
-    """Return the figures that matter, each beside its 95 % interval and the mark set for it."""
-    median_s, longest_s = summary["median_seconds"], summary["longest_seconds"]
-    clear, middle, clean, gain = summary["single"][CLEAR], summary["single"][MIDDLE], summary["clean"], summary["gain"]
-    rows = [
-        _marked("one effect, error up by ≥ 10 %: found", clear["found"], "≥ 99 %"),
-        _marked("  named first", clear["named_first"], "≥ 95 %"),
-        _marked("  named, or listed as rival", clear["listed"], "≥ 99 %"),
-        _marked("one effect, up by 3 to 10 %: named first", middle["named_first"], "≥ 85 %"),
-        _marked("two effects: exactly these", summary["pair"]["exact"], "≥ 85 %"),
-        _marked("three effects: exactly these", summary["triple"]["exact"], "≥ 60 %"),
-        _marked("not in the catalogue: no name given", summary["outside"]["not_named"], "≥ 95 %"),
-        _marked("  not said to be explained", summary["outside"]["not_explained"], ""),
-        _marked("nothing wrong: a cause named", clean["accused"], "≤ 1 %"),
-        _marked("  alarmed, with or without a name", clean["alarmed"], ""),
-        _marked("  error raised by 0.5 % or more", clean["harmed"], "0"),
-        _marked("95 % intervals that hold the truth", summary["covered"], "92 to 98 %"),
-        _marked("diagnoses that failed", summary["failed"], "0"),
-        ["parameters: median error", _percent(summary["median_parameter_error_percent"], 1.0), "", "≤ 3 %"],
-        ["gain, of what the effect brought: median", _percent(gain["diagnosis"]), "", "≥ 95 %"],
-        ["  of all error above the exact mean's", _percent(gain["diagnosis_to_floor"]), "", ""],
-        ["rivals that a named cause has: mean", _number(summary["rivals_a_cause"]), "", ""],
-        ["mean confidence of the first cause", _percent(summary["mean_confidence"]), "", ""],
-        _marked("  how often it is right", summary["first_right"], ""),
-        ["seconds a diagnosis: median, most", f"{median_s:.1f}, {longest_s:.1f}", "", ""],
+    """Return the figures that matter, each family in a column, shares with 95 % intervals, beside the mark set."""
+    families: Families = summary["families"]
+    rows: list[tuple[str, str, Callable[[dict[str, Any]], str]]] = [
+        ("sessions", "", lambda own: str(own["cases"])),
+        ("one cause, error up by ≥ 10 %: it and nothing else", "≥ 99 %", lambda own: _told(own["one"][CLEAR]["exact"])),
+        ("  alarm", "", lambda own: _told(own["one"][CLEAR]["found"])),
+        ("  a cause named that is not there", "", lambda own: _told(own["one"][CLEAR]["falsely_named"])),
+        ("one cause, 3 to 10 %: it and nothing else", "≥ 90 %", lambda own: _told(own["one"][MIDDLE]["exact"])),
+        ("  a cause named that is not there", "", lambda own: _told(own["one"][MIDDLE]["falsely_named"])),
+        ("two causes: both and nothing else", "≥ 95 %", lambda own: _told(own["two"]["exact"])),
+        ("  a cause named that is not there", "", lambda own: _told(own["two"]["falsely_named"])),
+        ("three causes: all and nothing else", "≥ 80 %", lambda own: _told(own["three"]["exact"])),
+        ("  a cause named that is not there", "", lambda own: _told(own["three"]["falsely_named"])),
+        ("in no catalogue: no cause named", "≥ 98 %", lambda own: _told(own["outside"]["not_named"])),
+        ("  alarm where the error is up by ≥ 10 %", "≥ 95 %", lambda own: _told(own["outside"]["costly_found"])),
+        ("nothing wrong: a cause named", "≤ 0.3 %", lambda own: _told(own["clean"]["accused"])),
+        ("  alarm", "≤ 0.5 %", lambda own: _told(own["clean"]["alarmed"])),
+        ("  error raised by 0.5 % or more", "0", lambda own: _told(own["clean"]["harmed"])),
+        ("95 % intervals that hold the truth", "93 to 97 %", lambda own: _told(own["covered"])),
+        ("parameters: median error", "≤ 2 %", lambda own: _percent(own["median_parameter_error_percent"], 1.0)),
+        ("confidence: expected calibration error", "≤ 0.03", lambda own: _number(own["calibration_error"])),
+        ("gain, of what the true model gains: median", "≥ 97 %", lambda own: _percent(own["gain"]["diagnosis"])),
+        ("seconds a diagnosis: median, most", "≤ 10, –", lambda own: _both(own["seconds"], ".1f")),
+        ("  its reference's learning", "", lambda own: _both(own["learning_seconds"], ".1f")),
+        ("peak memory, MB: median, most", "–, ≤ 2,000", lambda own: _both(own["memory_mb"], ",.0f")),
+        ("diagnoses that failed", "0", lambda own: _told(own["failed"])),
     ]
     return StudyTable(
-        f"{summary['cases']:,} hidden and clean sessions", ("", "measured", "95 % interval", "mark"), rows
+        f"{summary['cases']:,} hidden and clean sessions",
+        ("", *families, "mark"),
+        [[name, *map(tell, families.values()), mark] for name, mark, tell in rows],
     )
 
 
-def _marked(name: str, share: Proportion, mark: str) -> list[str]:
-    return [name, str(share), "" if share.share is None else f"{share.low:.1%} to {share.high:.1%}", mark]
+def _mechanisms_table(family: str, own: dict[str, Any]) -> StudyTable:
+    return StudyTable(
+        f"{family}: one cause, by how much it raises the error",
+        ("effect", *(f"{name}: it and nothing else" for name in RISE_BINS), "median error", "in the interval"),
+        [
+            [
+                name,
+                *(_few(share) for share in one["exact"].values()),
+                _percent(one["median_error_percent"], 1.0),
+                _few(one["covered"]),
+            ]
+            for name, one in sorted(own["mechanisms"].items())
+        ],
+    )
 
 
-def _found_and_named(naming: Proportions) -> str:
-    total = naming["found"].total
-    return f"{naming['found'].count}, {naming['named_first'].count} of {total}" if total else "–"
+def _told(share: Proportion) -> str:
+    """Return how many of how many, and Wilson's 95 % interval."""
+    if share.share is None:
+        return "–"
+    return f"{share.count}/{share.total} ({100 * share.low:.1f}–{100 * share.high:.1f} %)"
 
 
 def _few(share: Proportion) -> str:
@@ -139,4 +148,8 @@ def _percent(value: float | None, factor: float = 100.0) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
+    return "–" if value is None else f"{value:.3f}"
+
+
+def _both(values: dict[str, float | None], form: str) -> str:
+    return ", ".join("–" if value is None else f"{value:{form}}" for value in values.values())

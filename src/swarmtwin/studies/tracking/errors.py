@@ -10,13 +10,13 @@ import pandas as pd
 
 from swarmtwin.deploy.camera.camera import Frame
 from swarmtwin.deploy.tracking.calibration import Lens
-from swarmtwin.deploy.tracking.calibration_fit import fit_calibration
+from swarmtwin.deploy.tracking.calibration_fit import MeasuredByHand, fit_calibration
 from swarmtwin.deploy.tracking.tracker import Tracker
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import Robot
 from swarmtwin.studies.tracking.methods import Found, Method, corners_alone, homography, tracked
-from swarmtwin.studies.tracking.scenes import Case, Scenes
+from swarmtwin.studies.tracking.scenes import Case, Hand, Scenes
 
 COLUMNS = [
     "method",
@@ -34,7 +34,7 @@ COLUMNS = [
 
 
 def measured_errors(
-    robot: Robot, vehicles: tuple[str, ...], case: Case, seed: int, pictures: int, calibrated_on: int
+    robot: Robot, vehicles: tuple[str, ...], case: Case, seed: int, pictures: int, calibrated_on: int, hand: Hand
 ) -> tuple[pd.DataFrame, np.ndarray]:
     """Calibrate one camera, let every method look at its pictures, and compare with the truth.
 
@@ -42,7 +42,7 @@ def measured_errors(
         a row for each method, picture and vehicle: the truth, how far off the method is (NaN where it did not find the
         vehicle), and how long it took for the whole picture; and the first picture.
     """
-    scenes = Scenes(robot, vehicles, case, seed)
+    scenes = Scenes(robot, vehicles, case, seed, hand)
     methods = _methods(scenes, calibrated_on)
     rows: list[tuple[Any, ...]] = []
     first = None
@@ -110,7 +110,8 @@ def _methods(scenes: Scenes, calibrated_on: int) -> Mapping[Method, Callable[[np
     pictures = scenes.for_calibration(calibrated_on)
     return {
         "tracker": _calibrated(scenes, pictures),
-        "measured_height": _calibrated(scenes, pictures, camera_height_mm=scenes.height_by_hand_mm),
+        "measured_height": _calibrated(scenes, pictures, by_hand=scenes.by_hand._replace(camera_above_mm=None)),
+        "measured_place": _calibrated(scenes, pictures, by_hand=scenes.by_hand),
         "measured_lens": _calibrated(scenes, pictures, lens=true.lens),
         "perfect": tracked(true, robot, vehicles),
         "subpixel": corners_alone(true, robot, vehicles, cv2.aruco.CORNER_REFINE_SUBPIX),
@@ -123,11 +124,11 @@ def _calibrated(
     scenes: Scenes,
     pictures: Sequence[np.ndarray],
     lens: Lens | None = None,
-    camera_height_mm: float | None = None,
+    by_hand: MeasuredByHand | None = None,
 ) -> Callable[[np.ndarray], Found]:
     """Return our tracker, calibrated on pictures; one that finds nothing where the calibration is refused."""
     try:
-        calibration = fit_calibration(pictures, scenes.robot, lens=lens, camera_height_mm=camera_height_mm)
+        calibration = fit_calibration(pictures, scenes.robot, lens=lens, by_hand=by_hand, settings=scenes.fit_settings)
     except UserError:
         return lambda image: {}
     return tracked(calibration, scenes.robot, scenes.vehicles)

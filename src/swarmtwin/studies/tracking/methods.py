@@ -14,19 +14,22 @@ from swarmtwin.geometry import compose
 from swarmtwin.markers import arena_markers, marker_of, vehicle_ids
 from swarmtwin.robot import Robot
 
-Method = Literal["tracker", "measured_height", "measured_lens", "perfect", "subpixel", "contour", "homography"]
+Method = Literal[
+    "tracker", "measured_height", "measured_place", "measured_lens", "perfect", "subpixel", "contour", "homography"
+]
 Found = Mapping[str, np.ndarray]
 
 TITLES: Mapping[Method, str] = {
     "tracker": "tracker, calibrated from pictures alone",
     "measured_height": "tracker, camera's height measured",
+    "measured_place": "tracker, camera's height and plumb line",
     "measured_lens": "tracker, lens known from a board",
     "perfect": "tracker, perfect calibration",
     "subpixel": "OpenCV sub-pixel, perfect calibration",
     "contour": "OpenCV contour, perfect calibration",
     "homography": "OpenCV sub-pixel, homography of the floor",
 }
-"""What each method is called: four times our tracker, calibrated in four ways, and three plain ones."""
+"""What each method is called: five times our tracker, calibrated in five ways, and three plain ones."""
 
 
 def tracked(calibration: Calibration, robot: Robot, vehicles: tuple[str, ...]) -> Callable[[np.ndarray], Found]:

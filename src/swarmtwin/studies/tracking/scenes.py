@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from swarmtwin.deploy.tracking.calibration import Calibration, Lens
+from swarmtwin.deploy.tracking.calibration_fit import FitSettings, MeasuredByHand
 from swarmtwin.markers import ArenaMarkers, arena_markers, marker_of
 from swarmtwin.robot import Robot
 from swarmtwin.standin.overhead_camera import CameraConditions, OverheadCamera
@@ -39,6 +40,18 @@ class Case(StrictModel):
     calibrated_while_standing: bool = False
 
 
+class Hand(StrictModel):
+    """How well somebody measures by hand where the camera hangs.
+
+    Attributes:
+        height_share: standard error of the camera's height by a tape measure, as a share of it.
+        plumb_mm: standard error, along x and y, of the point below the lens by a plumb line.
+    """
+
+    height_share: Annotated[float, Field(gt=0)] = 0.01
+    plumb_mm: Annotated[float, Field(gt=0)] = 5.0
+
+
 @dataclass(frozen=True)
 class Scene:
     """One picture and what is true of it.
@@ -59,11 +72,12 @@ class Scenes:
         robot: whose vehicles are seen, with the marker that they bear in this case.
         vehicles: their names.
         camera: that sees them.
-        height_by_hand_mm: the camera's height as somebody measured it.
+        by_hand: where the camera hangs as somebody measured it.
+        fit_settings: of a calibration that knows how well that was measured.
     """
 
     def __init__(
-        self, robot: Robot, vehicles: tuple[str, ...], case: Case, seed: int, tape_measure_share: float = 0.005
+        self, robot: Robot, vehicles: tuple[str, ...], case: Case, seed: int, hand: Hand | None = None
     ) -> None:
         """Hang the camera up: height, tilt, turn, lens and middle as seeds draw them, but for what the case says.
 
@@ -72,7 +86,7 @@ class Scenes:
             vehicles: their names.
             case: what is hard.
             seed: of the camera, the poses and the noise.
-            tape_measure_share: standard error of a height measured by hand.
+            hand: how well somebody measures; None: as the defaults say.
 
         Raises:
             UserError: the case's conditions make no sense, or the robot has no marker.
@@ -88,7 +102,11 @@ class Scenes:
         conditions = CameraConditions.parse({**drawn, **case.camera}, f"case {case.title!r}: camera")
         self._layout = _laid(self.robot, case.laid_mm, chance)
         self.camera = OverheadCamera(self.robot, vehicles, conditions, self._layout)
-        self.height_by_hand_mm = conditions.camera_height_mm * (1 + tape_measure_share * chance.standard_normal())
+        hand = hand or Hand()
+        height_mm = conditions.camera_height_mm * (1 + hand.height_share * chance.standard_normal())
+        x_mm, y_mm = self.camera.optics.place_mm[:2] + hand.plumb_mm * chance.standard_normal(2)
+        self.by_hand = MeasuredByHand(height_mm, (x_mm, y_mm))
+        self.fit_settings = FitSettings(camera_height_share=hand.height_share, camera_above_mm=hand.plumb_mm)
 
     def draw(self, count: int) -> Iterator[Scene]:
         """Yield pictures, each with the vehicles elsewhere."""

@@ -15,7 +15,7 @@ from swarmtwin.files import new_folder, write_text
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.studies.tracking.errors import following_ms, measured_errors, summary
 from swarmtwin.studies.tracking.methods import TITLES
-from swarmtwin.studies.tracking.scenes import Case
+from swarmtwin.studies.tracking.scenes import Case, Hand
 from swarmtwin.studies.tracking.table import tracking_table
 from swarmtwin.studies.tracking.tracking_plots import draw_tracking
 from swarmtwin.tracking.runs import tracked_run
@@ -34,6 +34,7 @@ class Options(StrictModel):
     cases: Literal["all"] | Annotated[tuple[str, ...], BeforeValidator(as_texts)]
     pictures: Count
     calibrated_on: Count
+    hand: Hand
     seed: Seed
     seeds: Count
     goal_mm: Annotated[float, Field(gt=0)]
@@ -90,7 +91,7 @@ def _errors(options: Options, cases: dict[str, Case], folder: Path) -> pd.DataFr
         for name, case in cases.items():
             for seed in seeds:
                 rows, sample = measured_errors(
-                    options.robot, options.vehicles, case, seed, options.pictures, options.calibrated_on
+                    options.robot, options.vehicles, case, seed, options.pictures, options.calibrated_on, options.hand
                 )
                 parts.append(rows.assign(case=name))
                 if seed == options.seed:
@@ -112,7 +113,7 @@ def _judged(options: Options, table: pd.DataFrame) -> dict[str, float]:
     """Return the figures of the first case, and whether they reach the goals, by how the camera was calibrated."""
     first = table[table.case == table.case.iloc[0]].set_index("method")
     figures: dict[str, float] = {}
-    for method in ("tracker", "measured_height", "measured_lens", "perfect"):
+    for method in ("tracker", "measured_height", "measured_place", "measured_lens", "perfect"):
         row = first.loc[method]
         figures |= {f"{method}/{name}": float(row[name]) for name in ("p99_mm", "p99_deg", "bias_mm", "found_share")}
         figures[f"{method}/reaches_goal"] = float(

@@ -14,6 +14,7 @@ from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 COLOURS = {
     "tracker": PREDICTED,
     "measured_height": "#8a2846",
+    "measured_place": "#d9705a",
     "measured_lens": "#c98bb9",
     "perfect": MEASURED,
     "subpixel": FLOOR,

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from swarmtwin.diagnosis.likelihood import LikelihoodModel
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.geometry import exp_map, residual_between, rotate
 from swarmtwin.transitions import Transitions
@@ -23,7 +22,7 @@ def suggested_cause(
         simulated: (N, 3) their simulated displacements.
         significant_z: standard errors over runs from which on a correlation counts.
     """
-    cross_fitted = exp_map(LikelihoodModel.of_reference(reference).simulated).numpy()
+    cross_fitted = exp_map(reference.own_likelihood.simulated).numpy()
     usual = residual_between(cross_fitted, reference.session.transitions.displacement).std(axis=0)
     residual = residual_between(simulated, transitions.displacement) / usual
     _, run = np.unique(transitions.run, return_inverse=True)

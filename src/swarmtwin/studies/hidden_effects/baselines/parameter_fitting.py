@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from scipy.stats import norm
 
-from swarmtwin.diagnosis.likelihood import LikelihoodModel
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.reference import Reference, conditions_of
+from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.geometry import exp_map, log_map
 from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
 from swarmtwin.transitions import Transitions
@@ -33,7 +34,7 @@ def fitted_causes(reference: Reference, transitions: Transitions, most_transitio
     if len(session) > most_transitions:
         last = session.run[np.argsort(session.run, kind="stable")[most_transitions]]
         session = session.where(session.run <= last)
-    model = LikelihoodModel(reference.base, reference.noise, session, settings=reference.settings)
+    model = SessionLikelihood(reference.base, reference.noise, session, settings=reference.settings)
     kinds = offered(model.robot, conditions)
     of_the_mean = [kind for name, kind in kinds.items() if name not in ("noise_change", "timing_jitter")]
     fit = JointFit(model, [kind for kind in of_the_mean if model.parameters([kind])])
@@ -56,7 +57,7 @@ class JointFit:
         steady_clock: spread of the periods, as a share of them, below which they are as they should be.
     """
 
-    model: LikelihoodModel
+    model: SessionLikelihood
     kinds: Sequence[type[Mechanism]]
     iterations: int = 3
     damping: float = 1e-3
@@ -98,10 +99,14 @@ class JointFit:
     def residual(self, values: np.ndarray) -> np.ndarray:
         """Return standardised residuals (N, 3)."""
         mechanisms = [one for one in self.model.assembled(self.kinds, values) if not self._does_nothing(one)]
-        possible = self.model.outcomes(mechanisms)
-        mean = torch.stack([one.probability * exp_map(one.twist) for one in possible]).sum(dim=0)
-        whitened: np.ndarray = self.model.whitener(self.model.session.residual_of(log_map(mean))).numpy()
-        return whitened
+        model, arrives = self.model, arrival_probability(mechanisms)
+        if arrives >= 1.0:
+            return model.whitened(mechanisms)
+        lost = 1 - arrives
+        chances = (arrives * arrives, arrives * lost, arrives * lost, lost**2)
+        courses = model.predictor.outcomes(mechanisms)
+        mean = torch.stack([chance * exp_map(one) for chance, one in zip(chances, courses, strict=True)]).sum(dim=0)
+        return model.filter(model.errors_of(log_map(mean))[..., None])[..., 0]
 
     def _does_nothing(self, mechanism: Mechanism) -> bool:
         parameters = self.model.parameters([type(mechanism)])

@@ -1,15 +1,16 @@
 """Simulations asked for what follows measured situations: the one place where the diagnosis predicts motion.
 
-It runs the simulation's own signal chain, period by period. One thing is approximated, and only here, since the present
-search asks for thousands of predictions: the state of the actuators at the start of each transition is rebuilt from the
-two commands before it, instead of carried from the start of the run, and a command is taken to have been lost at most
-twice in a row. Both go when the likelihood carries the state through whole runs.
+It runs the simulation's own signal chain, period by period, from the measured pose of each. What actuators remember is
+carried through each run from its start, as `Simulation.step` carries it: all transitions are advanced at once, again
+and again, each from what the one before it ended with, until nothing changes. Lag and play forget: a few rounds do.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+import torch
 from torch import Tensor
 
 from swarmtwin.dynamics.predictor import DynamicsModel
@@ -20,35 +21,46 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import period_motion, remembered_after_two
+from swarmtwin.simulation.signal_chain import end_memory, period_motion, remembered_after_two
 
 
-class Outcome(NamedTuple):
-    """One way in which a period can go: its probability and the measured twists (N, 3) over it."""
+class LossOutcomes(NamedTuple):
+    """Measured twists (N, 3) over a period, by which of the last commands arrived.
 
-    probability: float
-    twist: Tensor
+    Attributes:
+        arrived: the present command did, and the one before it had.
+        arrived_after_loss: the present command did, the one before it had not.
+        lost: the present command did not, the one before it goes on.
+        lost_twice: neither did, the one before these goes on.
+    """
+
+    arrived: Tensor
+    arrived_after_loss: Tensor
+    lost: Tensor
+    lost_twice: Tensor
 
 
 @dataclass(frozen=True)
-class OneStepPredictor:
+class SessionPredictor:
     """Predicts the N transitions of a session under mechanisms.
 
     Attributes:
         base: the simulation's dynamics model, or one member of it.
         conditions: of the session.
         situation: N measured situations, float64, whose previous and earlier commands are known.
+        follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
         answers: of the base so far, by the mechanisms that change what it is asked; those of the last few are kept.
     """
 
     base: DynamicsModel
     conditions: SessionConditions
     situation: Situation
+    follows: np.ndarray
     answers: dict[tuple[str, ...], Answers] = field(default_factory=lambda: {(): Answers()})
 
-    def with_member(self, member: int) -> "OneStepPredictor":
+    def with_member(self, member: int) -> "SessionPredictor":
         """Return it with one member of the base in the place of the mean of all."""
-        return OneStepPredictor(OneMember(self.base, member), self.conditions, self.situation)  # type: ignore[arg-type]
+        return SessionPredictor(OneMember(self.base, member), self.conditions, self.situation, self.follows)  # type: ignore[arg-type]
 
     def moment(self) -> Moment:
         """Return the situations as mechanisms see them, at their measured poses."""
@@ -68,25 +80,19 @@ class OneStepPredictor:
         """Return the twists (N, 3) of the base alone under other commands (N, m), and others before them."""
         return BaseTwists(self.base, self.moment(), (command, previous_command, previous_command)).response(0)
 
-    def outcomes(self, mechanisms: Sequence[Mechanism]) -> list[Outcome]:
-        """Return how each transition can go: one outcome, or where commands may be lost, three."""
+    def twist(self, mechanisms: Sequence[Mechanism]) -> Tensor:
+        """Return the measured twists (N, 3) where every command arrives."""
+        return self._twist(in_signal_order(mechanisms), (0, 1, 2))
+
+    def outcomes(self, mechanisms: Sequence[Mechanism]) -> LossOutcomes:
+        """Return how each transition goes, by which of its commands arrived."""
         ordered = in_signal_order(mechanisms)
-        as_sent = (0, 1, 2)  # periods ago of the commands in force in this period and in the two before
-        arrives = 1.0
-        for mechanism in ordered:
-            arrives *= mechanism.arrival_probability()
-        if all(mechanism.stage != "link" or mechanism.arrival_probability() == 1 for mechanism in ordered):
-            return [Outcome(1.0, self._twist(ordered, as_sent))]
-        lost = 1.0 - arrives
-        chances = (arrives, arrives * lost, lost**2)
-        return [
-            Outcome(chance, self._twist(ordered, roles))
-            for chance, roles in zip(chances, (as_sent, (1, 1, 1), (2, 2, 2)), strict=True)
-        ]
+        return LossOutcomes(*(self._twist(ordered, roles) for roles in ((0, 1, 2), (0, 2, 2), (1, 1, 1), (2, 2, 2))))
 
     def most_likely_twist(self, mechanisms: Sequence[Mechanism], residual: ResidualModel | None = None) -> Tensor:
         """Return the most likely measured twists (N, 3), with what was learned beyond the mechanisms."""
-        twist = max(self.outcomes(mechanisms), key=lambda one: one.probability).twist
+        arrives = arrival_probability(mechanisms)
+        twist = self.twist(mechanisms) if arrives >= 0.5 else self.outcomes(mechanisms).lost
         if residual is None:
             return twist
         command, previous, _ = self._commands()
@@ -131,6 +137,8 @@ class OneStepPredictor:
         answers = self._answers(changing)
         twists = BaseTwists(self.base, moment, given, answers, roles, clock_is_nominal=bool(nominal))
         memory = remembered_after_two(mechanisms, twists)
+        if memory and roles == (0, 1, 2):
+            memory = self._carried(mechanisms, twists, memory)
         displacement = period_motion(mechanisms, twists, memory).displacement
         if not moved_camera:
             return log_map(displacement)
@@ -138,3 +146,43 @@ class OneStepPredictor:
         for mechanism in mechanisms:
             end = mechanism.to_measured(end, self.conditions)
         return log_map(displacement_between(measured, end))
+
+    def _carried(
+        self,
+        mechanisms: Sequence[Mechanism],
+        twists: BaseTwists,
+        memory: dict[str, Tensor],
+        most_rounds: int = 40,
+        tolerance: float = 1e-3,
+    ) -> dict[str, Tensor]:
+        """Return what actuators remember at the start of each transition, carried from the start of its run.
+
+        Args:
+            mechanisms: in the order of the signal.
+            twists: what the base answers.
+            memory: where the rounds begin: what two commands leave.
+            most_rounds: of a memory that does not forget.
+            tolerance: change, as a share of the memory's own spread, below which nothing is said to change.
+        """
+        known = torch.as_tensor(self.follows >= 0)
+        before = torch.as_tensor(np.maximum(self.follows, 0))
+        for _ in range(most_rounds):
+            ended = end_memory(mechanisms, twists, memory)
+            change, carried = 0.0, {}
+            for name, values in memory.items():
+                mask = known.reshape(-1, *([1] * (values.dim() - 1)))
+                carried[name] = torch.where(mask, ended[name][before], values)
+                spread = values.std(dim=0).clamp(min=1e-9)
+                change = max(change, float(((carried[name] - values).abs() / spread).max()))
+            memory = carried
+            if change < tolerance:
+                break
+        return memory
+
+
+def arrival_probability(mechanisms: Sequence[Mechanism]) -> float:
+    """Return the probability that a command arrives."""
+    arrives = 1.0
+    for mechanism in mechanisms:
+        arrives *= mechanism.arrival_probability()
+    return arrives

@@ -1,0 +1,105 @@
+"""What the simulation gets wrong of its own reference as well: learned there, expected again, and no gap."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmtwin.diagnosis.flexible_residual import random_cosines
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.random_effects import RandomEffects, smooth_functions
+from swarmtwin.diagnosis.session_errors import SessionErrors
+from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
+
+
+@dataclass(frozen=True)
+class Discrepancy:
+    """Errors of a simulation as a sum of q functions: smooth ones of the commands, and what mechanisms would do.
+
+    A learned simulation rounds the corner of a dead band, and is uncertain where commands are rare. In a mechanism's
+    own direction that looks like the mechanism, so these directions are among the functions.
+
+    Attributes:
+        mechanisms: whose effect is a function each.
+        size: (q,) by which each function is divided, so that it is of the noise's size on the reference.
+        mean: (q,) coefficients that the reference shows.
+        root: (q, q) a root of their posterior covariance.
+    """
+
+    mechanisms: tuple[Mechanism, ...]
+    size: np.ndarray
+    mean: np.ndarray
+    root: np.ndarray
+
+    @classmethod
+    def learn(cls, model: SessionErrors, spread: float) -> "Discrepancy":
+        """Learn from the reference's own transitions, predicted by what has not seen them.
+
+        Args:
+            model: of these.
+            spread: prior standard deviation of each function's size, in units of the noise.
+        """
+        mechanisms = tuple(_directions(model))
+        columns = functions(model, mechanisms)
+        size = np.maximum(np.sqrt((model.filter(columns) ** 2).sum(axis=(0, 1)) / len(columns)), 1e-9)
+        effects = RandomEffects.of(columns / size * spread, model.filter, model.weight)
+        mean = spread * effects.sizes(model.filter(model.errors(())[..., None])[..., 0])
+        values, vectors = np.linalg.eigh(effects.inverse)
+        return cls(mechanisms, size, mean, spread * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def expected(self, model: SessionErrors) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors (N, 3) to be expected in a session, and directions (N, 3, q) of their uncertainty."""
+        columns = functions(model, self.mechanisms) / self.size
+        return columns @ self.mean, columns @ self.root
+
+
+def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+    """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected."""
+    smooth = np.column_stack([smooth_functions(model.session), _local_functions(model.session)])
+    spread = model.reference_noise.spread(model.simulated.numpy())
+    columns = []
+    for axis in range(3):
+        for function in smooth.T:
+            own = np.zeros_like(spread)
+            own[:, axis] = spread[:, axis] * function
+            columns.append(own)
+    columns += [model.changes_of(model.predictor.twist((mechanism,))) for mechanism in mechanisms]
+    return np.stack(columns, axis=-1)
+
+
+def _local_functions(session: MeasuredSession, count: int = 24, waves: float = 4.0) -> np.ndarray:
+    """Return (N, count) random cosines of the command, the same in each session: errors where commands are rare."""
+    robot, rng = session.transitions.robot, np.random.default_rng(0)
+    command = 2 * (session.transitions.command - robot.command_low) / (robot.command_high - robot.command_low) - 1
+    return random_cosines(command, count, rng, waves)
+
+
+def _directions(model: SessionErrors, most: int = 12) -> Iterator[Mechanism]:
+    """Yield mechanisms that change what follows a command or a pose, each over a grid of its parameters.
+
+    None that ages, that is random, that lies at a place of its own, or that others are needed for.
+    """
+    strange = {"elapsed_s", "neighbours", "duration_s"}
+    for kind in offered(model.robot, model.session.conditions).values():
+        parameters = kind.parameters_of(model.robot, model.session.conditions)
+        if strange & set(kind.inputs) or kind.arrival_probability is not Mechanism.arrival_probability:
+            continue
+        if kind.noise_factor is not Mechanism.noise_factor or any(
+            one.null_value is None and one.unit == "mm" and len(parameters) > 2 for one in parameters.values()
+        ):
+            continue
+        points = kind.initial_points(model.robot, model.session.conditions)
+        for index in np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)):
+            for name, parameter in parameters.items():
+                if parameter.null_value is not None:
+                    yield kind.at({**points[index], **_alone(parameters, name, points[index][name])})
+
+
+def _alone(parameters: Mapping[str, Parameter], name: str, value: float) -> dict[str, float]:
+    """Return all parameters where they do nothing but one, which is a little off where it would do nothing."""
+    null = {other: one.null_value for other, one in parameters.items() if one.null_value is not None}
+    parameter = parameters[name]
+    if value == null[name]:
+        step = 3 * parameter.response_step
+        value = value + step if value + step <= parameter.high else value - step
+    return {**null, name: value}

@@ -1,0 +1,146 @@
+"""Step 3, its end: what causes explain of what can be explained at all, and whether the motion is more random."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from swarmtwin.diagnosis.cause_search import CausePosterior
+from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.noise import log_density
+from swarmtwin.diagnosis.result import Verdict
+from swarmtwin.simulation.mechanism import Mechanism
+
+
+class MotionNoiseChange(NamedTuple):
+    """How much more random the motion is than the reference's.
+
+    Attributes:
+        factor: on its standard deviation.
+        low: of the 95 % interval.
+        high: of it.
+        probability: that this is a cause, and no difference that two sessions of one robot have.
+    """
+
+    factor: float
+    low: float
+    high: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the causes of a session explain, and what they leave.
+
+    Attributes:
+        model: of the fitted runs, its noise that of what the causes leave.
+        posterior: over sets of causes.
+        best: the most probable set, estimated anew in that model.
+        gained: nats that it gains over no cause.
+        left: nats that a flexible regression still gains on runs that it has not seen.
+        motion_noise: how random the motion is beside these causes.
+    """
+
+    model: SessionLikelihood
+    posterior: CausePosterior
+    best: EstimatedSet
+    gained: float
+    left: float
+    motion_noise: MotionNoiseChange
+
+    @property
+    def share(self) -> float:
+        """Share of what can be explained at all that the causes explain."""
+        return float(np.clip(self.gained / max(self.gained + self.left, 1e-9), 0.0, 1.0))
+
+    @property
+    def alarm(self) -> float:
+        """Nats left over from which on something is wrong that nobody has named."""
+        settings = self.model.settings.verdict
+        return settings.alarm_nats + settings.alarm_nats_a_transition * len(self.model.session)
+
+    @property
+    def is_something_left(self) -> bool:
+        """Whether more is left over than chance, and than another form of the same causes would leave."""
+        return self.left > self.alarm + self.model.settings.verdict.most_left * max(self.gained, 0.0)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
+
+        None where much is left: a name would be made up.
+        """
+        if self.is_something_left:
+            return ()
+        settings, posterior = self.model.settings.search, self.posterior
+        named = []
+        for name in self.best.names:
+            rivals = posterior.rivals(name, settings.rival_from)
+            is_leading = posterior.probability(name) >= settings.reported_from
+            if is_leading and posterior.probability(name, *rivals) >= settings.named_from:
+                named.append(name)
+        return tuple(named)
+
+    @property
+    def names_motion_noise(self) -> bool:
+        """Whether the motion's randomness is a cause."""
+        return not self.is_something_left and self.motion_noise.probability >= self.model.settings.search.named_from
+
+    @property
+    def verdict(self) -> Verdict:
+        """What to say."""
+        if self.is_something_left:
+            return "unexplained"
+        if self.names or self.names_motion_noise:
+            return "explained"
+        return "unexplained" if self.best.names else "no_gap"
+
+    @cached_property
+    def mechanisms(self) -> tuple[Mechanism, ...]:
+        """The mechanisms that the simulation is extended by."""
+        return tuple(one for one in self.best.mechanisms if one.name in self.names)
+
+
+def explanation(model: SessionLikelihood, posterior: CausePosterior) -> Explanation:
+    """Look at what the best causes leave of a session."""
+    refined = model.explained_by(posterior.best.mechanisms)
+    best = estimate(refined, posterior.best.mechanisms, polish=True)
+    nothing = refined.evaluate([])
+    return Explanation(
+        refined,
+        posterior,
+        best,
+        best.fitted.total - nothing.total,
+        _nats_left(refined, best),
+        _motion_noise(refined, best.mechanisms),
+    )
+
+
+def _nats_left(model: SessionLikelihood, best: EstimatedSet) -> float:
+    """Return the nats that a flexible regression gains on what a set of causes leaves, on runs that it has not seen."""
+    errors = model.errors_left(best.mechanisms) - best.fitted.effect_errors
+    spread = model.noise.spread(model.motion)
+    expected = model.filter(model.flexible.predicted(errors, spread, model.weight)[..., None])[..., 0]
+    residual, freedom = best.fitted.residual, model.noise.degrees_of_freedom
+    scale = best.fitted.scale
+    before, after = (log_density(one / scale, freedom) for one in (residual, residual - expected))
+    return float((after - before).sum())
+
+
+def _motion_noise(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> MotionNoiseChange:
+    """Compare the motion's noise with the reference's; normal priors on the log of the factor, a narrow and a wide."""
+    settings = model.settings.motion_noise
+    log, error = model.motion_noise_log()
+    usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
+    narrow = float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_of_usual(model.motion)))
+    odds = model.settings.search.prior / (1 - model.settings.search.prior)
+    wide_log, narrow_log = (
+        stats.norm.logpdf(log, 0.0, np.hypot(error, spread)) for spread in (settings.changed_spread, narrow)
+    )
+    probability = float(special.expit(wide_log - narrow_log + np.log(odds)))
+    low, high = np.exp(log + np.array([-1.96, 1.96]) * error)
+    return MotionNoiseChange(float(np.exp(log)), float(low), float(high), probability)

@@ -1,0 +1,146 @@
+"""Step 3. What each mechanism may gain beside others, and each pair: one linear step from a coarse grid of values."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.geometry import compose, exp_map
+from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Parameter
+from swarmtwin.simulation.mechanisms import gain_change
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A mechanism at one point of its grid, beside others.
+
+    Attributes:
+        name: of the mechanism.
+        nats: of log-likelihood that it promises.
+        start: the others and it, where a fit begins.
+        columns: (3 N, q) what it changes of whitened errors; none where commands may be lost.
+        probe: by how much its first parameter is off where it does nothing, for the first of these columns.
+    """
+
+    name: str
+    nats: float
+    start: tuple[Mechanism, ...]
+    columns: np.ndarray
+    probe: float = 0.0
+
+
+def candidates(
+    model: SessionLikelihood, beside: FittedMechanisms, kinds: Mapping[str, MechanismClass]
+) -> list[Candidate]:
+    """Return mechanisms at all points of their grids, beside others that are fitted already."""
+    traction = local_traction_score(model, beside)
+    found = []
+    for name, kind in kinds.items():
+        if name not in beside.names:
+            for start in _grid(model, kind, traction):
+                found.append(_candidate(model, beside, name, kind, start))
+    return found
+
+
+def best_by_name(found: Sequence[Candidate]) -> list[Candidate]:
+    """Return the best point of each mechanism, the most promising first."""
+    best: dict[str, Candidate] = {}
+    for one in found:
+        if one.name not in best or one.nats > best[one.name].nats:
+            best[one.name] = one
+    return sorted(best.values(), key=lambda one: -one.nats)
+
+
+def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Candidate]) -> list[Candidate]:
+    """Return the best points of each pair of mechanisms, the most promising first: all of them from one Gram matrix."""
+    usable = [one for one in found if one.columns.shape[1]]
+    if not usable:
+        return []
+    columns = np.column_stack([one.columns for one in usable])
+    ends = np.cumsum([one.columns.shape[1] for one in usable])
+    rows = [np.arange(end - one.columns.shape[1], end) for end, one in zip(ends, usable, strict=True)]
+    gram = model.effects.inner(columns, columns)
+    side = -model.effects.inner(columns, beside.whitened.reshape(-1, 1))[:, 0]
+    best: dict[tuple[str, str], Candidate] = {}
+    for first, second in combinations(range(len(usable)), 2):
+        names = usable[first].name, usable[second].name
+        if names[0] == names[1]:
+            continue
+        own = np.concatenate([rows[first], rows[second]])
+        solution = np.linalg.lstsq(gram[np.ix_(own, own)], side[own], rcond=1e-8)[0]
+        nats = float(solution @ side[own]) / 2
+        if names not in best or nats > best[names].nats:
+            start = (*usable[first].start, usable[second].start[-1])
+            best[names] = Candidate("+".join(names), nats, start, columns[:, :0])
+    return sorted(best.values(), key=lambda one: -one.nats)
+
+
+def local_traction_score(model: SessionLikelihood, fitted: FittedMechanisms, step: float = 0.02) -> LocalTractionScore:
+    """Return where the traction seems to be another one than fitted mechanisms say, by a small loss everywhere."""
+    arriving = [one for one in fitted.mechanisms if one.arrival_probability() >= 1.0]
+    weaker = [*arriving, gain_change.Config.at({"gain": 1 - step})]
+    response = (model.whitened(weaker) - model.whitened(arriving)) / step
+    response[fitted.is_lost] = 0.0
+    session = model.session
+    middle = compose(model.predictor.moment().pose, exp_map(session.twist / 2))[:, :2].numpy()
+    weight = model.weight
+    return LocalTractionScore(
+        middle, -weight * (fitted.residual * response).sum(axis=1), weight * (response**2).sum(axis=1)
+    )
+
+
+def _grid(model: SessionLikelihood, kind: MechanismClass, traction: LocalTractionScore) -> list[dict[str, float]]:
+    """Return where a search for a mechanism begins, at most so many points as the settings say, evenly thinned."""
+    points = kind.initial_points(model.robot, model.session.conditions, traction)
+    most = model.settings.search.grid_points
+    chosen = np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int))
+    return [points[index] for index in chosen]
+
+
+def _candidate(
+    model: SessionLikelihood,
+    beside: FittedMechanisms,
+    name: str,
+    kind: MechanismClass,
+    start: Mapping[str, float],
+) -> Candidate:
+    parameters = kind.parameters_of(model.robot, model.session.conditions)
+    begun = {**model.read_off_clock(kind), **start}
+    if loses_commands([kind]):
+        moved = {key: _off_null(parameters[key], value) for key, value in start.items()}
+        ahead = (*beside.mechanisms, kind.at({**begun, **moved}))
+        return Candidate(name, model.evaluate(ahead).total - beside.total, ahead, np.zeros((3 * len(model.session), 0)))
+    arriving = [one for one in beside.mechanisms if one.arrival_probability() >= 1.0]
+    here = model.whitened(arriving)
+    here[beside.is_lost] = 0.0
+    nulls = {key: one.null_value for key, one in parameters.items() if one.null_value is not None}
+    moved = {key: _off_null(parameters[key], start[key]) for key in nulls}
+    probes: list[dict[str, float]] = [{**nulls, key: value} for key, value in moved.items()]
+    responses = []
+    for probe in probes or [{}]:
+        change = model.whitened([*arriving, kind.at({**begun, **probe})]) - here
+        change[beside.is_lost] = 0.0
+        responses.append(change.ravel())
+    columns = np.stack(responses, axis=-1)
+    gram = model.effects.inner(columns, columns)
+    side = -model.effects.inner(columns, here.reshape(-1, 1))[:, 0]
+    solution = np.linalg.lstsq(gram, side, rcond=1e-8)[0]
+    values = dict(begun)
+    for (key, value), factor in zip(moved.items(), solution, strict=False):
+        parameter, null = parameters[key], nulls[key]
+        values[key] = float(np.clip(null + factor * (value - null), parameter.low, parameter.high))
+        if null in (parameter.low, parameter.high) and factor <= 0:
+            solution, values[key] = np.zeros_like(solution), value
+    nats = float(solution @ side - solution @ gram @ solution / 2)
+    off = next((value - nulls[key] for key, value in moved.items()), 0.0)
+    return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, off)
+
+
+def _off_null(parameter: Parameter, value: float) -> float:
+    """Return a value of a parameter away from where it does nothing."""
+    if value != parameter.null_value:
+        return value
+    step = 3 * parameter.response_step
+    return value + step if value + step <= parameter.high else value - step

@@ -1,0 +1,145 @@
+"""Step 1. What was measured beside what is simulated: errors, what they depend on, and their noise."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from swarmtwin.diagnosis.flexible_residual import FlexibleResidual
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.noise import (
+    Noise,
+    NoiseFilter,
+    NoiseScales,
+    likeliest_scales,
+    motion_scale_log,
+    tail_weights,
+)
+from swarmtwin.diagnosis.session_prediction import SessionPredictor
+from swarmtwin.diagnosis.settings import DiagnosisSettings
+from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
+from swarmtwin.simulation.mechanism import Mechanism
+
+
+class SessionErrors:
+    """A session, the simulation and its noise: what is measured beside what is simulated, and by how much that varies.
+
+    Args:
+        base: the simulation.
+        noise: of errors that it was not fitted to.
+        session: of N transitions.
+        known_vehicles: ids of the vehicles that the simulation was learned from; empty: all of the session.
+        unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
+        settings: of the diagnosis; None: the defaults.
+        explained: mechanisms that are known to be there, so that the noise is that of what they leave.
+    """
+
+    def __init__(
+        self,
+        base: DynamicsModel,
+        noise: Noise,
+        session: MeasuredSession,
+        known_vehicles: tuple[str, ...] = (),
+        unit_spread: float | None = None,
+        settings: DiagnosisSettings | None = None,
+        explained: Sequence[Mechanism] = (),
+    ) -> None:
+        self.explained = tuple(explained)
+        self.session, self.reference_noise, self.robot = session, noise, base.robot
+        self.settings = settings or DiagnosisSettings()
+        self.members: int = getattr(base, "members", 0)
+        self.predictor = SessionPredictor(base, session.conditions, session.situation, session.follows)
+        self.simulated = self.predictor.twist(())
+        self._measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
+        self.strange = tuple(
+            vehicle
+            for vehicle in (session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle))
+            if known_vehicles and vehicle not in known_vehicles
+        )
+        self.unit_spread = self.settings.units.spread if unit_spread is None else unit_spread
+
+    def errors_of(self, twist: Tensor) -> np.ndarray:
+        """Return (N, 3) from where twists (N, 3) lead to where vehicles were measured, in the frame there."""
+        return self._uncorrected(twist) - self.correction
+
+    def _uncorrected(self, twist: Tensor) -> np.ndarray:
+        errors: np.ndarray = log_map(displacement_between(exp_map(twist), self._measured)).numpy()
+        return errors
+
+    def errors(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return the errors (N, 3) of the simulation with mechanisms, where every command arrives."""
+        return self.errors_of(self.predictor.twist(mechanisms))
+
+    def changes_of(self, twist: Tensor, center: Tensor | None = None) -> np.ndarray:
+        """Return (N, 3) by what errors change with twists (N, 3) instead of others, by default the simulation's."""
+        return self._uncorrected(twist) - self._uncorrected(self.simulated if center is None else center)
+
+    @cached_property
+    def correction(self) -> np.ndarray:
+        """(N, 3) errors that the simulation is known to make; none here."""
+        return np.zeros((len(self.session), 3))
+
+    def errors_left(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return the errors (N, 3) that mechanisms leave."""
+        return self.errors(mechanisms)
+
+    @cached_property
+    def _plain_errors(self) -> np.ndarray:
+        return self.errors_of(self.simulated)
+
+    @cached_property
+    def flexible(self) -> FlexibleResidual:
+        """What errors may depend on."""
+        given = self.session.situation
+        assert given.previous_command is not None
+        steady = self.predictor.base_twist(given.command, given.command).numpy()
+        before = self.predictor.base_twist(given.previous_command, given.previous_command).numpy()
+        return FlexibleResidual.of(self.session, steady, before, self.settings.flexible)
+
+    @cached_property
+    def expected_errors(self) -> np.ndarray:
+        """(N, 3) what the simulation's errors depend on, by a regression that has not seen their runs."""
+        scale = self.reference_noise.spread(self.simulated.numpy())
+        weight = np.ones(len(scale))
+        if not self.explained:
+            return self.flexible.predicted(self._plain_errors, scale, weight)
+        left = self.errors_left(self.explained)
+        return self._plain_errors - left + self.flexible.predicted(left, scale, weight)
+
+    @cached_property
+    def motion(self) -> np.ndarray:
+        """(N, 3) twists by which vehicles really move, as well as it is known without a cause."""
+        moved = compose(exp_map(self.simulated), exp_map(torch.as_tensor(self.expected_errors)))
+        twist: np.ndarray = log_map(moved).numpy()
+        return twist
+
+    @cached_property
+    def noise_scales(self) -> NoiseScales:
+        """Factors on the reference's noise, from what no longer depends on anything."""
+        left = self._plain_errors - self.expected_errors
+        spread = self.settings.noise.scale_spread
+        return likeliest_scales(self.reference_noise, left, self.motion, self.session, spread)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """The session's noise."""
+        return self.reference_noise.scaled(self.noise_scales)
+
+    @cached_property
+    def filter(self) -> NoiseFilter:
+        """Makes the session's errors independent."""
+        return self.noise.filter(self.motion, self.session)
+
+    @cached_property
+    def weight(self) -> np.ndarray:
+        """(N,) how much each transition counts in least squares: outliers little."""
+        left = self.filter((self._plain_errors - self.expected_errors)[..., None])[..., 0]
+        return tail_weights(left, self.noise.degrees_of_freedom)
+
+    def motion_noise_log(self) -> tuple[float, float]:
+        """Return the log of the factor on the motion's standard deviation, and its standard error over runs."""
+        left = self._plain_errors - self.expected_errors
+        return motion_scale_log(self.noise, self.noise_scales, left, self.motion, self.session)

@@ -1,0 +1,214 @@
+"""What a robot provides to be moved by the rigid-body engine, MuJoCo, and how it is advanced over a control period."""
+
+import copy
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import wrap_angle
+from swarmtwin.standin.active_effects import ActiveEffects
+from swarmtwin.standin.effect import Effect
+from swarmtwin.standin.effects.steady_drift import SteadyDrift
+from swarmtwin.standin.physics import Period
+
+
+def load_engine() -> Any:
+    """Return MuJoCo, which is needed nowhere else.
+
+    Raises:
+        UserError: it is not installed.
+    """
+    try:
+        return importlib.import_module("mujoco")
+    except ImportError:
+        raise UserError(
+            "engine=rigid_body needs MuJoCo, which is not installed: pip install 'mujoco>=4.0.0,<5', "
+            "or drive the stand-in by its formulas, engine=formulas"
+        ) from None
+
+
+class Moment(NamedTuple):
+    """Where the vehicles are in the engine at the beginning of a piece of a period.
+
+    Attributes:
+        period: which control period.
+        pose: (3, R, V) x_mm, y_mm, heading_rad.
+        position: (R, V, positions) the joints' positions, SI units.
+        velocity: (R, V, velocities) the joints' velocities, SI units.
+        noise: (noises, R, V) standard normal.
+        piece_s: length of the piece, broadcasting to (R, V).
+    """
+
+    period: Period
+    pose: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    noise: np.ndarray
+    piece_s: Any
+
+
+class Machine(ABC):
+    """V units of a robot, each described to the engine, in R runs side by side; vehicles of a run do not touch.
+
+    The engine's state is carried on from period to period. Commands reach its actuators step by step; what depends on
+    the place, and chance, piece by piece of a period.
+
+    Attributes:
+        command_columns: of the commands that it takes, in order.
+        resting_command: the command of a vehicle that was just switched on.
+        steps: time steps in a control period.
+        pieces: pieces in a control period, which divide the steps.
+        noises: independent random numbers that a piece needs.
+        camera_noise: standard deviation of the camera's poses, mm, mm and rad.
+        outlier_share: share of poses that the camera measures worse.
+        outlier_factor: by how much worse.
+        supply: the effects that change what the actuators are supplied with.
+        settling_steps: time steps until what is put on the floor has come to rest.
+    """
+
+    supply: ActiveEffects
+    command_columns: ClassVar[tuple[str, ...]]
+    resting_command: ClassVar[tuple[float, ...]]
+    steps: ClassVar[int]
+    pieces: ClassVar[int]
+    noises: ClassVar[int]
+    camera_noise: ClassVar[tuple[float, float, float]]
+    outlier_share: ClassVar[float] = 0.05
+    outlier_factor: ClassVar[float] = 3.0
+    settling_steps: ClassVar[int] = 100
+
+    def __init__(self, vehicles: Sequence[str], conditions: ActiveEffects, period_s: float) -> None:
+        """Describe the units with these ids.
+
+        Raises:
+            UserError: an effect means nothing to such a body, or the engine is not installed.
+        """
+        self.vehicles = tuple(vehicles)
+        self.conditions = conditions
+        self.supply = conditions
+        self.time_step_s = period_s / self.steps
+        for effect in conditions.effects:
+            self.require_meaning(effect)
+        self._engine = load_engine()
+
+    def require_meaning(self, effect: Effect) -> None:
+        """Refuse an effect that cannot be had from forces on this body.
+
+        Raises:
+            UserError: what carries the vehicles is neither a floor nor a stream of one velocity.
+        """
+        carries = type(effect).drift_velocity_mm_s is not Effect.drift_velocity_mm_s
+        if carries and not isinstance(effect, SteadyDrift):
+            raise UserError(
+                f"effect {type(effect).__name__!r} gives vehicles a velocity, whatever wheels or water make of it: "
+                "that is no force on a rigid body; use engine=formulas for it"
+            )
+
+    @property
+    def carrying_mm_s(self) -> tuple[float, float]:
+        """Velocity along x and y of the arena of the floor, or of the water."""
+        drifts = [effect for effect in self.conditions.effects if isinstance(effect, SteadyDrift)]
+        velocity = np.array([(each.speed_mm_s, each.direction_rad) for each in drifts]).reshape(-1, 2)
+        x_mm_s, y_mm_s = velocity[:, 0] * np.cos(velocity[:, 1]), velocity[:, 0] * np.sin(velocity[:, 1])
+        return float(x_mm_s.sum()), float(y_mm_s.sum())
+
+    @abstractmethod
+    def describe(self, vehicle: int) -> str:
+        """Return the MJCF description of one of the V units, in SI units, time step `time_step_s`."""
+
+    @abstractmethod
+    def at_pose(self, pose: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """Return joint positions (R, V, positions), at rest at `position`, brought to poses (R, V, 3)."""
+
+    @abstractmethod
+    def pose(self, position: np.ndarray) -> np.ndarray:
+        """Return poses (3, R, V), headings wrapped, of joint positions (R, V, positions)."""
+
+    @abstractmethod
+    def target(self, command: np.ndarray, strength: Any) -> np.ndarray:
+        """Return what a command (m, R, V), as the electronics take it, asks of the actuators; it may be blended."""
+
+    @abstractmethod
+    def controls(self, target: np.ndarray, moment: Moment) -> np.ndarray:
+        """Return the engine's controls (R, V, steps, controls) for targets (targets, steps, R, V) of a piece."""
+
+    def put(self, pose: np.ndarray) -> np.ndarray:
+        """Put the vehicles down at poses (R, V, 3) and return their states.
+
+        Returns:
+            (states, R, V): x_mm, y_mm, heading_rad, then positions and velocities of all joints in SI units.
+        """
+        runs, units = pose.shape[:2]
+        models = [self._engine.MjModel.from_xml_string(self.describe(vehicle)) for vehicle in range(units)]
+        settled = self._batch(models)
+        settled.bind("qvel")[:, :2] = np.array(self.carrying_mm_s) / 1000
+        settled.rollout(self.settling_steps)
+        self._models = models * runs
+        self._vehicles = self._batch(self._models)
+        self._shape = (runs, units)
+        position = np.broadcast_to(settled.bind("qpos"), (runs, units, models[0].nq))
+        self._vehicles.bind("qpos")[:] = self.at_pose(pose, position).reshape(runs * units, -1)
+        self._vehicles.bind("qvel")[:] = np.tile(settled.bind("qvel"), (runs, 1))
+        return self._state(np.moveaxis(pose, -1, 0))
+
+    def _batch(self, models: Sequence[Any]) -> Any:
+        batch = importlib.import_module("mujoco.batch").Batch(models[0], len(models), 1)
+        batch.set_models(models)
+        return batch
+
+    def advance(self, state: np.ndarray, period: Period, noise: np.ndarray) -> np.ndarray:
+        """Return the states (states, R, V) after a control period that begins where the last one ended.
+
+        Args:
+            state: (states, R, V) that `put` or the last `advance` returned.
+            period: the commands and the clock.
+            noise: (pieces, noises, R, V) standard normal.
+        """
+        placement = period.placement(state, 0.0)
+        strength = self.supply.strength(placement)
+        new = self.target(self.conditions.transform_command(period.command), strength)
+        old = self.target(self.conditions.transform_command(period.previous_command), strength)
+        step_s = period.duration_s / self.steps
+        self._keep_time(step_s)
+        per_piece = self.steps // self.pieces
+        for piece in range(self.pieces):
+            step = np.arange(piece * per_piece, (piece + 1) * per_piece)[:, None, None]
+            late_share = np.clip(self.conditions.delay_s / step_s - step, 0.0, 1.0)
+            target = new[:, None] + late_share * (old - new)[:, None]
+            moment = Moment(period, state[:3], *self._joints(), noise[piece], step_s * per_piece)
+            control = self.controls(np.broadcast_to(target, (len(new), per_piece, *self._shape)), moment)
+            self._vehicles.rollout(per_piece, control.reshape(-1, *control.shape[2:]))
+            state = self._state(state[:3])
+        return state
+
+    def _keep_time(self, step_s: np.ndarray) -> None:
+        """Give each run the time step (R, 1) that fits its period."""
+        wanted = np.repeat(step_s[:, 0], self._shape[1])
+        if np.allclose(wanted, [model.opt.timestep for model in self._models], rtol=1e-12, atol=0.0):
+            return
+        if len({id(model) for model in self._models}) < len(self._models):
+            self._models = [copy.copy(model) for model in self._models]
+        for model, time_step_s in zip(self._models, wanted, strict=True):
+            model.opt.timestep = time_step_s
+        self._vehicles.set_models(self._models)
+
+    def _joints(self) -> tuple[np.ndarray, np.ndarray]:
+        position, velocity = self._vehicles.bind("qpos"), self._vehicles.bind("qvel")
+        return position.reshape(*self._shape, -1), velocity.reshape(*self._shape, -1)
+
+    def _state(self, pose_before: np.ndarray) -> np.ndarray:
+        """Return the states (states, R, V), headings going on from poses (3, R, V) before.
+
+        Raises:
+            ArithmeticError: the engine warns that it lost a vehicle, and no longer moves it.
+        """
+        position, velocity = self._joints()
+        if self._vehicles.warning.any():
+            raise ArithmeticError("the rigid-body engine became unstable: its time step is too long for this body")
+        pose = self.pose(position)
+        pose[2] = pose_before[2] + wrap_angle(pose[2] - pose_before[2])
+        return np.concatenate([pose, np.moveaxis(position, -1, 0), np.moveaxis(velocity, -1, 0)])

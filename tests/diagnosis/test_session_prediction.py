@@ -1,0 +1,64 @@
+"""A session is predicted as the simulation steps: what actuators remember is carried through each run."""
+
+import numpy as np
+import pytest
+import torch
+from exact_base import ExactBase, session_of
+
+from exact_model import conditions_of
+from swarmtwin.diagnosis.session_prediction import SessionPredictor
+from swarmtwin.geometry import displacement_between, log_map
+from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.simulation.simulation import Simulation
+
+REMEMBERING = {
+    "actuator_lag": {"time_constant_s": 0.3},
+    "backlash": {"travel_mm": 4.0},
+    "command_delay": {"delay_s": 0.2},
+}
+
+
+def stepped(base, mechanisms):
+    """Vehicles that move as the simulation with mechanisms steps them, from rest."""
+    simulation, known = Simulation(base, mechanisms, conditions_of(base.robot)), {}
+
+    def moved(moment):
+        if moment.step == 0:
+            known["state"] = simulation.start(moment.pose[:, None])
+        state = simulation.step(known["state"], moment.command[:, None])
+        before, known["state"] = known["state"].pose[:, 0], state
+        return displacement_between(before, state.pose[:, 0])
+
+    return moved
+
+
+@pytest.mark.parametrize("names", [*([name] for name in REMEMBERING), list(REMEMBERING)])
+def test_a_session_is_predicted_as_the_simulation_steps(robots, names):
+    """From the fourth period of a run on: what the command before the first was is not measured."""
+    base = ExactBase(robots["mgr"])
+    mechanisms = [mechanism_class(name).at(REMEMBERING[name]) for name in names]
+    still = lambda way: torch.zeros_like(way)  # noqa: E731
+    session = session_of(base, np.random.default_rng(1), stepped(base, mechanisms), spread=still, runs=20, steps=20)
+    predictor = SessionPredictor(base, session.conditions, session.situation, session.follows)
+    measured = log_map(torch.as_tensor(session.transitions.displacement))
+    wrong = (predictor.twist(mechanisms) - measured).abs().numpy()
+    step = np.tile(np.arange(1, 20), 20)
+    assert wrong[step >= 6].max() < 0.05
+    alone = (predictor.twist(()) - measured).abs().numpy()
+    assert alone[step >= 6].max() > 2.0
+
+
+def test_what_two_commands_leave_is_not_enough(robots):
+    """A lag as long as the period: without the state that is carried, the prediction would be off."""
+    base = ExactBase(robots["mgr"])
+    lag = [mechanism_class("actuator_lag").at({"time_constant_s": 0.5})]
+    still = lambda way: torch.zeros_like(way)  # noqa: E731
+    session = session_of(base, np.random.default_rng(2), stepped(base, lag), spread=still, runs=20, steps=20)
+    measured = log_map(torch.as_tensor(session.transitions.displacement))
+    late = np.tile(np.arange(1, 20), 20) >= 8
+    carried, apart = (
+        SessionPredictor(base, session.conditions, session.situation, follows)
+        for follows in (session.follows, np.full(len(session), -1))
+    )
+    wrong, wrong_apart = ((one.twist(lag) - measured).abs().numpy()[late].max() for one in (carried, apart))
+    assert wrong < 0.1 < 1.0 < wrong_apart

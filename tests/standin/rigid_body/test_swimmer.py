@@ -1,0 +1,109 @@
+"""The swimmer: nothing says how fast it swims, so strokes, trim, weeds and currents are looked at from outside."""
+
+import numpy as np
+import pytest
+from rigid_drives import CALM, drive, true_displacements
+
+from swarmtwin.standin.rigid_body.driving import drive_rigid_session
+from swarmtwin.standin.rigid_body.swimmer import Swimmer
+from swarmtwin.standin.session import StandInSession
+from swarmtwin.studies.stand_in_recording import record
+from swarmtwin.transitions import from_recording
+
+
+@pytest.fixture(scope="module")
+def mur(robots):
+    return robots["mur"]
+
+
+def steady(robot, command, *effects, runs=12, steps=14, settled=4):
+    """Return the mean displacement (3,) in the periods before which a command was held for `settled` ones."""
+    driven = drive(robot, CALM, *effects, runs=runs, steps=steps, drive=np.array([command], float))
+    as_told = np.cumprod((driven.command[:, :, 0] == command).all(axis=-1), axis=1)[:, settled:].astype(bool)
+    assert as_told.sum() > 20
+    return true_displacements(driven)[:, settled:, 0][as_told].mean(axis=0)
+
+
+def test_the_same_seed_gives_the_same_bytes(mur):
+    session = StandInSession(mur, ("1",), runs=4, steps=4, seed=5)
+    first, again = drive_rigid_session(session), drive_rigid_session(session)
+    assert first.pose.tobytes() == again.pose.tobytes()
+    assert first.state.tobytes() == again.state.tobytes()
+
+
+def test_clean_drives_make_a_recording_nearly_all_of_which_is_usable(mur):
+    footage, recording = record(StandInSession(mur, ("1",), 20, 20, 7, lost_poses=0.001), drive=drive_rigid_session)
+    _, counts = from_recording(recording)
+    assert counts.kept > 0.98 * 20 * 20
+    assert (footage.state[0] > 0).all()
+    assert (footage.state[0] < 2000).all()
+
+
+def test_larger_strokes_and_faster_ones_swim_faster(mur):
+    slow, large, fast = (steady(mur, (0, amplitude, omega))[0] for amplitude, omega in ((20, 4), (50, 4), (50, 8)))
+    assert slow < 5
+    assert large > 10
+    assert 1.5 * large < fast < 100
+
+
+def test_the_fin_steers_to_its_side_and_the_mirrored_fin_to_the_other(mur):
+    left, right = (steady(mur, (angle, 40, 6)) for angle in (40, -40))
+    assert 0.1 < left[2] < 1
+    assert right[2] == pytest.approx(-left[2], abs=0.1)
+
+
+def test_a_trim_turns_the_straight_fin_and_an_opposite_command_undoes_it(mur):
+    trim = {"name": "actuator_asymmetry", "angle_rad": np.deg2rad(25)}
+    plain, askew, undone = steady(mur, (0, 50, 6)), steady(mur, (0, 50, 6), trim), steady(mur, (-25, 50, 6), trim)
+    assert askew[2] - plain[2] > 0.05
+    np.testing.assert_allclose(undone, plain, atol=0.3)
+
+
+def test_gain_is_the_strokes_size_and_a_weak_supply_shortens_them(mur):
+    as_told, shorter = steady(mur, (0, 35, 6)), steady(mur, (0, 50, 6), {"name": "gain_change", "gain": 0.7})
+    np.testing.assert_allclose(shorter, as_told, atol=1e-6)
+    sagging = drive(mur, CALM, {"name": "battery_sag", "loss": 0.6}, runs=30, steps=8, drive=np.array([(0.0, 50, 6)]))
+    forward = true_displacements(sagging)[:, 4:, 0, 0].mean(axis=1)
+    assert forward[-8:].mean() < 0.7 * forward[:8].mean()
+
+
+def test_a_current_carries_it_along_as_fast_as_it_flows(mur):
+    """What floats with the water meets no drag, so the current's velocity is added and nothing else changes."""
+    plan = {"runs": 6, "steps": 6, "drive": np.array([(0.0, 45, 5)])}
+    drift = {"name": "steady_drift", "speed_mm_s": 20, "direction_rad": 0.7}
+    plain, carried = drive(mur, CALM, **plan), drive(mur, CALM, drift, **plan)
+    as_told = (plain.command == carried.command).all(axis=(1, 2, 3))
+    assert as_told.sum() >= 3
+    added = (carried.state - plain.state)[:2, as_told, -1, 0].T / (6 * 0.8)
+    np.testing.assert_allclose(added, [[20 * np.cos(0.7), 20 * np.sin(0.7)]] * as_told.sum(), atol=2)
+
+
+def test_weeds_slow_it_down(mur):
+    weeds = {"name": "surface_patch", "loss": 0.4, "radius_mm": 4000}
+    assert steady(mur, (0, 50, 6), weeds)[0] < 0.8 * steady(mur, (0, 50, 6))[0]
+
+
+def test_delay_and_lag_bring_the_turn_later(mur):
+    """Turns follow the fin's mean angle: the share of them that falls into the next period grows."""
+
+    def later_share(*effects):
+        driven = drive(mur, CALM, *effects, runs=20, steps=20)
+        angle = driven.command[:, :, 0, 0]
+        design = np.stack([angle[:, 2:], angle[:, 1:-1], angle[:, :-2]], axis=-1).reshape(-1, 3)
+        weight = np.linalg.lstsq(design, true_displacements(driven)[:, 2:, 0, 2].ravel())[0]
+        return weight[1:].sum() / weight.sum()
+
+    plain = later_share()
+    assert later_share({"name": "command_delay", "delay_s": 0.3}) > plain + 0.15
+    assert later_share({"name": "actuator_lag", "time_constant_s": 0.3}) > plain + 0.1
+
+
+def test_play_of_the_fin_takes_from_its_strokes(mur):
+    assert steady(mur, (0, 40, 6), {"name": "backlash", "travel_rad": 0.5})[0] < 0.9 * steady(mur, (0, 40, 6))[0]
+
+
+def test_an_engine_that_loses_a_vehicle_is_no_recording(mur, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # MuJoCo leaves its log there
+    monkeypatch.setattr(Swimmer, "steps", 16)
+    with pytest.raises(ArithmeticError, match="unstable"):
+        drive(mur, runs=4, steps=6)

@@ -1,0 +1,226 @@
+"""The study's sessions: the same each time, effects as large as asked for, and nothing hidden in clean ones."""
+
+import dataclasses
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import residual_between
+from swarmtwin.standin.effects import catalogue, parse_effects
+from swarmtwin.standin.session import StandInSession
+from swarmtwin.studies.hidden_effects import families
+from swarmtwin.studies.hidden_effects.cases import Case, cases
+from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS
+from swarmtwin.studies.hidden_effects.error_rise import size_that_raises
+from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
+from swarmtwin.studies.hidden_effects.sessions import made_effects, record_session, reference_session, sized_entry
+
+SMALL = {"runs": 20, "steps": 20, "reference_runs": 30}
+
+
+def same_recording(one, other):
+    return all(
+        np.array_equal(getattr(own, name), getattr(others, name), equal_nan=True)
+        for own, others in zip(one.tracks, other.tracks, strict=True)
+        for name in ("time_s", "command", "pose")
+    )
+
+
+def test_the_same_seed_draws_the_same_cases_and_more_of_them_change_none():
+    for kind in ("one", "two", "outside", "clean"):
+        few, many = cases("formulas", kind, 5, 7), cases("formulas", kind, 9, 7)
+        assert many[:5] == few
+        assert len({case.key for case in many}) == 9
+        assert cases("formulas", kind, 5, 8) != few
+        assert cases("unruly", kind, 5, 7) != few
+
+
+def test_all_effects_and_varieties_take_turns():
+    for kind, known in (("one", CATALOGUE), ("outside", OUTSIDE), ("clean", VARIETIES)):
+        turns = {(robot, name) for name, fits in known.items() for robot in ("mgr", "mur") if robot in fits}
+        drawn = cases("formulas", kind, 2 * len(turns), 3)
+        assert {(case.robot, case.about) for case in drawn[: len(turns)]} == turns
+        assert {(case.robot, case.about) for case in drawn[len(turns) :]} == turns
+    assert set(CATALOGUE) == set(PARAMETERS) == set(catalogue())
+
+
+def test_rises_are_spread_evenly_over_a_logarithmic_scale():
+    rises = np.array([case.rises_percent[0] for case in cases("formulas", "one", 400, 3)])
+    share = np.log(rises) / math.log(60.0)
+    assert np.histogram(share, 4, (0, 1))[0] == pytest.approx(np.full(4, 100), abs=35)
+    several = [rise for case in cases("formulas", "three", 60, 3) for rise in case.rises_percent]
+    assert min(several) >= 5.0
+
+
+def test_effects_that_hide_together_differ_and_a_delay_is_never_beside_a_lag():
+    for case in cases("formulas", "three", 60, 3):
+        assert len(set(case.names)) == 3
+        assert not {"command_delay", "actuator_lag"} <= set(case.names)
+
+
+@pytest.mark.parametrize("family", ["formulas", "unruly"])
+def test_a_case_is_recorded_the_same_each_time(family):
+    case = Case(family=family, kind="one", robot="mgr", names=["gain_change"], rises_percent=[20.0], seed=3, **SMALL)
+    first, again = record_session(case), record_session(case)
+    assert same_recording(first.reference, again.reference)
+    assert same_recording(first.measured, again.measured)
+    assert first.truth.causes == again.truth.causes
+    other = record_session(case.model_copy(update={"seed": 4}))
+    assert not same_recording(first.measured, other.measured)
+    assert not same_recording(first.reference, other.reference)
+
+
+def test_the_largest_size_is_taken_where_none_is_large_enough_and_else_the_right_one():
+    assert size_that_raises(20.0, (0.001, 1.0), lambda size: 300.0 * size**1.5) == pytest.approx(
+        (20 / 300) ** (1 / 1.5)
+    )
+    assert size_that_raises(20.0, (0.001, 0.1), lambda size: 100.0 * size) == 0.1
+    # below a threshold nothing happens at all
+    found = size_that_raises(20.0, (0.001, 1.0), lambda size: max(0.0, 100.0 * (size - 0.3)))
+    assert found == pytest.approx(0.5, rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "wanted"), [("gain_change", 40.0), ("command_delay", 15.0), ("random_ground", 30.0)])
+def test_an_effect_raises_the_error_by_about_what_is_asked_for(name, wanted):
+    kind = "one" if name in CATALOGUE else "outside"
+    case = Case(family="formulas", kind=kind, robot="mgr", names=[name], rises_percent=[wanted], seed=5)
+    truth = record_session(case).truth
+    assert truth.rise_percent == pytest.approx(wanted, rel=0.35)
+    assert set(truth.causes) == ({name} if kind == "one" else set())
+
+
+def test_the_twin_differs_by_the_effect_alone():
+    case = Case(family="unruly", kind="one", robot="mgr", names=["camera_scale"], rises_percent=[30.0], seed=3, **SMALL)
+    truth = record_session(case).truth
+    measured, twin = truth.measured.footage, truth.twin.footage
+    np.testing.assert_array_equal(measured.state, twin.state)  # the camera changes no motion
+    np.testing.assert_array_equal(measured.command, twin.command)
+    assert not np.array_equal(measured.pose, twin.pose, equal_nan=True)
+    assert truth.twin.footage.session.effects == ()
+
+
+def test_the_spread_of_a_clock_that_is_never_steady_is_told_as_a_recording_shows_it():
+    case = Case(family="unruly", kind="one", robot="mgr", names=["timing_jitter"], rises_percent=[20.0], seed=3)
+    truth = record_session(case).truth
+    shown = truth.measured.footage.duration_s.std() / 0.5
+    assert truth.causes["timing_jitter"]["spread"] == pytest.approx(shown, rel=0.05)
+
+
+def z_scores(filmed):
+    """How many standard errors, with runs as blocks, residuals against exact means depend on this and that."""
+    transitions = filmed.transitions
+    residual = residual_between(filmed.least_displacement(transitions), transitions.displacement)
+    spread = np.maximum(transitions.command.std(axis=0), 1e-9)
+    place = transitions.pose[:, :2] - transitions.pose[:, :2].mean(axis=0)
+    columns = [
+        np.ones((len(transitions), 1)),
+        (transitions.command - transitions.command.mean(axis=0)) / spread,
+        place / place.std(axis=0),
+        np.stack([np.cos(transitions.pose[:, 2]), np.sin(transitions.pose[:, 2])], axis=1),
+        ((transitions.time_s - transitions.time_s.mean()) / transitions.time_s.std())[:, None],
+    ]
+    products = residual[:, :, None] * np.concatenate(columns, axis=1)[:, None, :]
+    _, run = np.unique(transitions.run, return_inverse=True)
+    by_run = np.zeros((run.max() + 1, *products.shape[1:]))
+    np.add.at(by_run, run, products)
+    return by_run.sum(axis=0) / np.sqrt((by_run**2).sum(axis=0))
+
+
+def test_a_clean_session_moves_as_the_exact_means_say():
+    """Residuals, by command, place, heading and time, are within their standard errors: root mean square about 1."""
+    scores = []
+    for number, (robot, variety) in enumerate(
+        [("mgr", "mixed"), ("mgr", "smooth"), ("mgr", "other_arena"), ("mgr", "group"), ("mur", "held")]
+    ):
+        for family in ("formulas", "unruly"):
+            case = Case(family=family, kind="clean", robot=robot, variety=variety, seed=11 + number, runs=60, steps=20)
+            truth = record_session(case).truth
+            assert truth.causes == {}
+            assert truth.rise_percent == 0.0
+            scores.append(z_scores(truth.measured).ravel())
+    size = np.sqrt(np.mean(np.concatenate(scores) ** 2))
+    assert 0.8 < size < 1.2, size
+
+
+def test_the_same_scores_see_an_effect():
+    case = Case(family="formulas", kind="one", robot="mgr", names=["steady_drift"], rises_percent=[10.0], seed=2)
+    truth = record_session(case).truth
+    clean = replace(truth.twin.footage.session)
+    blind = dataclasses.replace(truth.measured, footage=replace(truth.measured.footage, session=clean))
+    assert np.abs(z_scores(blind)).max() > 7
+    assert np.abs(z_scores(truth.measured)).max() < 5
+
+
+def usual_session(robots, robot="mgr", **more):
+    return StandInSession(robots[robot], ("3",), 100, 40, 5, **more)
+
+
+def test_clean_sessions_differ_as_their_variety_says(robots):
+    usual = usual_session(robots)
+
+    def changed(variety):
+        return clean_session(variety, usual, np.random.default_rng(4))
+
+    plain = changed("plain").session
+    assert all(
+        getattr(plain, one.name) == getattr(usual, one.name)
+        for one in dataclasses.fields(usual)
+        if one.compare and one.init
+    )
+    assert changed("smooth").session.command_mode == "smooth"
+    assert (changed("short_runs").session.runs, changed("short_runs").session.steps) == (400, 10)
+    assert (changed("long_runs").session.runs, changed("long_runs").session.steps) == (40, 100)
+    assert changed("few_transitions").session.runs * 40 == 600
+    assert changed("many_transitions").session.runs * 40 == 10_000
+    assert changed("other_vehicle").session.vehicles not in (("3",), ())
+    assert changed("group").session.vehicles[0] == "3"
+    assert len(set(changed("group").session.vehicles)) in (2, 3)
+    assert changed("other_arena").session.robot.arena_mm != usual.robot.arena_mm
+    assert 0.02 <= changed("lost_poses").session.lost_poses <= 0.1
+    assert changed("time_of_day").session.starts_s >= 1800
+    assert 1.5 <= changed("camera_noise").pose_noise <= 3.0
+
+
+def test_a_clean_recording_holds_its_own_arena_its_clock_and_its_noise(robots):
+    arena = record_session(Case(family="formulas", kind="clean", robot="mgr", variety="other_arena", seed=3, **SMALL))
+    assert arena.measured.header.arena_mm != robots["mgr"].arena_mm
+    assert arena.measured.robot == robots["mgr"]
+    position_mm = np.concatenate([track.pose[:, :2] for track in arena.measured.tracks])
+    assert (np.nanmin(position_mm, axis=0) > arena.measured.header.arena_mm.low_mm - 10).all()
+    later = record_session(Case(family="formulas", kind="clean", robot="mgr", variety="time_of_day", seed=3, **SMALL))
+    assert later.measured.tracks[0].time_s[0] == later.truth.measured.footage.session.starts_s >= 1800
+    case = Case(family="formulas", kind="clean", robot="mgr", variety="camera_noise", seed=3, runs=40, steps=20)
+    noisy = record_session(case)
+    true = np.moveaxis(noisy.truth.measured.footage.state[:3, :, :, 0], 0, -1)
+    away_mm = np.stack([track.pose for track in noisy.measured.tracks])[..., :2] - true[..., :2]
+    wanted = clean_session("camera_noise", usual_session(robots), case.rng("none")).pose_noise
+    assert 1.5 <= wanted <= 3.0
+    assert 1.4 < np.nanstd(away_mm) < 3.1
+
+
+def test_every_effect_makes_sense_at_its_smallest_and_largest_size(robots):
+    for name, sizes in {**CATALOGUE, **OUTSIDE}.items():
+        for robot, ends in sizes.items():
+            case = Case(family="formulas", kind="outside", robot=robot, names=[name], rises_percent=[1.0], seed=1)
+            session = dataclasses.replace(reference_session(case, robots[robot]), vehicles=("1", "2"))
+            for size in ends:
+                assert len(made_effects((sized_entry(name, size, case, session),), session)) == 1
+
+
+def test_an_engine_that_is_not_there_is_refused_with_the_remedy(monkeypatch):
+    monkeypatch.setattr(families, "find_spec", lambda name: object() if "rigid" in name else None)
+    with pytest.raises(UserError, match=r"family 'rigid_body' needs MuJoCo: pip install"):
+        cases("rigid_body", "one", 1, 1)
+    assert not families.is_available("rigid_body")
+    with pytest.raises(UserError, match="no such kind of session: 'pair'"):
+        cases("formulas", "pair", 1, 1)
+
+
+def test_hidden_effects_are_those_of_record(robots):
+    case = Case(family="formulas", kind="one", robot="mur", names=["backlash"], rises_percent=[20.0], seed=6, **SMALL)
+    truth = record_session(case).truth
+    assert parse_effects(truth.effects, robots["mur"], 1) == truth.measured.footage.session.effects
