@@ -4,7 +4,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 
-from swarmtwin.diagnosis.result import Cause, DiagnosisResult, Estimate, Gain
+from swarmtwin.diagnosis.result import Cause, DetectionLimit, DiagnosisResult, Estimate, Gain
 from swarmtwin.simulation.mechanism import mechanism_class
 
 SPACE = "\N{NO-BREAK SPACE}"
@@ -142,6 +142,16 @@ def gain_words(gain: Gain, unit: str) -> str:
     change_text, best, worst = (f"{_number(number, decimals, '+')}" for number in (change, -gain.high, -gain.low))
     percent = f", {_number(100 * change / gain.before, 0, '+')}{SPACE}%" if gain.before else ""
     return f"{change_text}{SPACE}{unit} ({best} to {worst}){percent}"
+
+
+def limit_words(limit: DetectionLimit) -> str:
+    """Return the smallest value of a parameter that would have been named, with two digits; where none would, so."""
+    if limit.value is None:
+        return "not at any value"
+    unit, size = limit.unit, abs(limit.value)
+    factor, sign = UNITS.get(unit, (1.0, f"{SPACE}{unit}"))
+    decimals = max(0, 1 - math.floor(math.log10(factor * size))) if size > 0 else 0
+    return f"{_number(factor * limit.value, min(decimals, 4))}{sign}"
 
 
 def share_words(share: float, decimals: int = 0) -> str:
