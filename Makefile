@@ -38,39 +38,45 @@ run: setup  # beside a process that has imported what the stages need (src/swarm
 results:  # a refused promotion (exit status 3) is an answer, not a failure
 	-LOKY_MAX_CPU_COUNT=1 $(MAKE) --no-print-directory --jobs=2 parts
 	$(BIN)/dvc repro
-	$(PROMOTE) robot=mgr candidate=artifacts/comparison/mgr/best || [ $$? = 3 ]
-	$(PROMOTE) robot=mur candidate=artifacts/comparison/mur/best || [ $$? = 3 ]
-	$(PROMOTE) robot=mgr what=policy candidate=artifacts/policies/mgr/collective || [ $$? = 3 ]
-	$(PROMOTE) robot=mur what=policy candidate=artifacts/policies/mur/pair || [ $$? = 3 ]
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target promotions
 	$(BIN)/swarmtwin experiment name=overview
 
-# The stages of dvc.yaml in parts, two at a time on two cores, the longest way first. DVC looks at a part's own stages
-# alone (--single-item), so the parts that it reads are named here; the `dvc repro` afterwards looks at all of them.
+PROMOTIONS := $(addprefix promote@,mgr/collective mur/pair mgr mur)
+promotions: $(PROMOTIONS)
+$(PROMOTIONS): promote@%:
+	$(PROMOTE) robot=$(firstword $(subst /, ,$*)) $(if $(findstring /,$*),what=policy candidate=artifacts/policies/$*,\
+	  candidate=artifacts/comparison/$*/best) || [ $$? = 3 ]
+
+# The stages of dvc.yaml in parts, two at a time on two cores, the longest way first: make takes the first part in the
+# list that can begin, so that what does not lead to policies waits for both simulations, which policies are learned in.
+# DVC looks at a part's own stages alone (--single-item), so the parts that it reads are named here; the `dvc repro`
+# afterwards looks at all of them.
 ROBOTS := mgr mur
 of_robots = $(ROBOTS:%=$(1)@%)
-PARTS := $(call of_robots,policies) $(call of_robots,study) $(call of_robots,dynamics) diagnosis@mgr \
-  $(call of_robots,pictures) $(call of_robots,simulation) $(call of_robots,transitions) code
+SIMULATIONS := $(call of_robots,simulation)
+PARTS := $(call of_robots,policies) $(call of_robots,dynamics) $(call of_robots,study) diagnosis@mgr \
+  $(call of_robots,pictures) $(SIMULATIONS) $(call of_robots,transitions) code
 parts: $(PARTS)
 $(call of_robots,transitions): code
-$(call of_robots,simulation): simulation@%: transitions@%
+$(SIMULATIONS): simulation@%: transitions@%
 $(call of_robots,policies): policies@%: simulation@%
-$(call of_robots,study): study@%: simulation@%  # which it does not read: policies take longest, and are begun before
-$(call of_robots,dynamics): dynamics@%: simulation@%
-diagnosis@mgr: code
-$(call of_robots,pictures): pictures@%: policies@% dynamics@% study@%
+$(call of_robots,dynamics): dynamics@%: simulation@% | $(SIMULATIONS)
+$(call of_robots,study): study@%: dynamics@%
+diagnosis@mgr: code | $(SIMULATIONS)
+$(call of_robots,pictures): pictures@%: policies@% study@%
 
 robot = $(lastword $(subst @, ,$@))
 code: STAGES = code@*
 of_clip@mgr = tracked@mgr
 $(call of_robots,transitions): STAGES = $(of_clip@$(robot)) transitions@$(robot) synthetic@$(robot)-*
-$(call of_robots,simulation): STAGES = synthetic_dynamics@$(robot)
+$(SIMULATIONS): STAGES = synthetic_dynamics@$(robot)
 $(call of_robots,study): STAGES = real_and_synthetic@$(robot)
 policies@mgr: STAGES = policies@collective policies@obstacle transfer@mgr
 policies@mur: STAGES = policies@pair transfer@mur
 $(call of_robots,dynamics): STAGES = dynamics@$(robot)-* comparison@$(robot)
 diagnosis@mgr: STAGES = diagnosis@mgr report@mgr
 $(call of_robots,pictures): STAGES = pictures@$(robot)-*
-.PHONY: results parts $(PARTS)
+.PHONY: results parts promotions $(PARTS) $(PROMOTIONS)
 $(PARTS):  # DVC looks after a folder, or its own files, once at a time: who finds them busy tries again
 	@bash -o pipefail -c 'for try in 1 2 3 4 5; do \
 	  $(BIN)/dvc repro --single-item --glob $(STAGES:%="%") 2>&1 \

@@ -5,6 +5,7 @@ import json
 import pandas as pd
 import pytest
 
+from swarmtwin.dynamics.training import train_seeds
 from swarmtwin.errors import UserError
 from swarmtwin.studies.synthetic.trainings import CASES, chosen_cases
 
@@ -62,6 +63,30 @@ def test_a_trained_generator_is_taken_where_there_is_one(swarmtwin, workshop, mo
 
     monkeypatch.setattr("swarmtwin.studies.synthetic.trainings.fit", refuse)
     assert swarmtwin(*EXPERIMENT, "cases=[mlp_generator]", "output=out").status == 0
+
+
+def test_a_model_is_taken_that_came_of_the_very_same_training_and_no_other(swarmtwin, workshop, monkeypatch):
+    swarmtwin("prepare", "recording=reference", "output=prepared")
+    made = ("train", "model=crnet", "transitions=prepared", "recipe.batch_size=128", "seeds=1", "register=false")
+    assert swarmtwin(*made, "model.steps=12", "output=same").status == 0
+    assert swarmtwin(*made, "model.steps=24", "output=longer").status == 0
+    assert swarmtwin(*made, "model.steps=12", "seed=2", "output=other_seed").status == 0
+    trained = []
+
+    def counted(jobs, *arguments):
+        trained.append([(job.config.name, len(job.transitions), job.seed) for job in jobs])
+        return train_seeds(jobs, *arguments)
+
+    monkeypatch.setattr("swarmtwin.studies.synthetic.study.train_seeds", counted)
+    call = (*EXPERIMENT, "cases=[mlp_real]", "models=[nowhere,longer,other_seed,same]", "seeds=2")
+    assert swarmtwin(*call, "output=taken").status == 0
+    assert swarmtwin(*call, "models=[longer]", "output=trained").status == 0
+    assert [sorted(name for name, _, _ in jobs) for jobs in trained] == [
+        ["mlp", "mlp"],
+        ["crnet", "crnet", "mlp", "mlp"],
+    ]
+    tables = [(workshop / name / "table.csv").read_bytes() for name in ("taken", "trained")]
+    assert tables[0] == tables[1]
 
 
 def test_cases_are_known_by_name(robots):

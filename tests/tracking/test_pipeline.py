@@ -177,7 +177,8 @@ def test_a_stage_hangs_on_the_folders_that_its_command_reads(stage):
         *("train_vehicle", "other_vehicle", "open_loop"),
         *("reference", "measured", "folder"),
     )
-    read = [config[name] for name in names if config.get(name)]
+    read = [config[name] for name in names if isinstance(config.get(name), str)]
+    read += [] if isinstance(config.get("models"), str | None) else config.models
     if stage.arguments[0] in ("train", "generate") and not config.transitions:
         read = [f"artifacts/transitions/{config.robot.name}"]
     if stage.arguments[0] == "track":
@@ -328,7 +329,7 @@ def test_a_line_in_a_model_a_training_or_the_geometry_makes_stale_what_it_shapes
 
 def test_queued_experiments_compute_with_their_own_parameters(repository):
     """Each in a copy of the repository, two at a time; what they track is in the one MLflow store."""
-    name, steps = "dynamics@mgr-mlp", (25, 35, 45)
+    name, steps = "dynamics@mgr-mlp", (25, 35)
     identity = ("-c", "user.name=x", "-c", "user.email=x@y")
     call(repository, "git", *identity, "add", "--all")
     call(repository, "git", *identity, "commit", "--quiet", "--message", "baseline")
@@ -340,7 +341,7 @@ def test_queued_experiments_compute_with_their_own_parameters(repository):
     deadline = time.monotonic() + 240
     while "Running" in (status := dvc(repository, "queue", "status")) or "Queued" in status:
         assert time.monotonic() < deadline, status
-        time.sleep(5)
+        time.sleep(2)
     assert status.count("Success") == len(steps), status
     for count in steps:
         described = yaml.safe_load(output_of(repository, f"s{count}", name, "model.yaml"))

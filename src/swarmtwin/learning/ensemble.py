@@ -190,7 +190,9 @@ def learn(
     wanted = (wanted - ensemble.offset) / ensemble.scale
     counts = torch.as_tensor(fold[None] != np.arange(members)[:, None], dtype=torch.float32)
     importance = torch.ones(len(given), 1) if weight is None else torch.as_tensor(weight, dtype=torch.float32)
-    optimiser = torch.optim.AdamW(ensemble.parameters(), lr=how.learning_rate, weight_decay=how.weight_decay)
+    optimiser = torch.optim.AdamW(
+        ensemble.parameters(), lr=how.learning_rate, weight_decay=how.weight_decay, fused=True
+    )
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, how.learning_rate, total_steps=steps, pct_start=how.warm_up
     )

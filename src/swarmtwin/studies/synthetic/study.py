@@ -32,9 +32,18 @@ from swarmtwin.simulation.evaluation import Measured, Measurement, measure
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.synthetic.error_plots import draw_cases
 from swarmtwin.studies.synthetic.table import ERRORS, case_table
-from swarmtwin.studies.synthetic.trainings import Amount, Case, Training, TrainingSets, chosen_cases
+from swarmtwin.studies.synthetic.trainings import (
+    Amount,
+    Case,
+    TrainedModel,
+    Training,
+    TrainingSets,
+    chosen_cases,
+    trained_before,
+)
 from swarmtwin.studies.tracked_inputs import recording_input, split_inputs
 from swarmtwin.tracking.runs import tracked_run
+from swarmtwin.transitions import Preparation
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
 from swarmtwin.transitions.mixing import Prepared
 
@@ -54,6 +63,7 @@ class Options(StrictModel):
     published: dict[str, Any]
     transitions: Path
     generators: Path
+    models: Annotated[tuple[Path, ...], BeforeValidator(as_texts)]
     train_vehicle: Path
     other_vehicle: Path
     part: Annotated[float, Field(gt=0, lt=1)]
@@ -78,12 +88,12 @@ class Outcome:
 
     Attributes:
         training: of which case.
-        results: one a seed.
+        models: one a seed.
         measurements: by recording, one a live seed.
     """
 
     training: Training
-    results: tuple[SeedResult, ...]
+    models: tuple[TrainedModel, ...]
     measurements: dict[str, tuple[Measurement, ...]]
 
 
@@ -95,7 +105,7 @@ def run(options: Options) -> dict[str, Any]:
     """
     settings = options.model_dump(mode="json")
     cases = chosen_cases(options.cases, options.robot)
-    inputs = [options.transitions, *options.recordings.values()]
+    inputs = [options.transitions, *options.recordings.values(), *options.models]
     real = prepared_transitions(options.transitions, options.robot)
     recordings = {name: read_recording(folder, options.robot) for name, folder in options.recordings.items()}
     given = [
@@ -144,28 +154,35 @@ def _outcomes(
 ) -> list[Outcome]:
     trainings = list(_trainings(options, cases, real))
     measured = {name: Measured.of(recording, options.recordings[name]) for name, recording in recordings.items()}
-    jobs = [job for training in trainings for job in training.jobs]
-    with Progress(console=Console(stderr=True)) as bars:
-        task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))
-        results = iter(train_seeds(jobs, lambda *_: bars.advance(task), None))
+    models = _models(trainings, options.models)
     outcomes = []
     for training in trainings:
-        came = tuple(next(results) for _ in training.jobs)
-        live = [_trained(job, result) for job, result in zip(training.jobs, came, strict=True) if not result.dead]
+        own = tuple(next(models) for _ in training.jobs)
         measurements = {
-            place: tuple(
-                measure(Simulation(one.dynamics), provenance_of(one, training.preparation), each) for one in live
-            )
+            place: tuple(measure(Simulation(one.dynamics), one.provenance, each) for one in own if one.dynamics)
             for place, each in measured.items()
         }
-        outcomes.append(Outcome(training, came, measurements))
+        outcomes.append(Outcome(training, own, measurements))
     return outcomes
 
 
-def _trained(job: TrainingJob, result: SeedResult) -> Trained:
+def _models(trainings: Sequence[Training], folders: Sequence[Path]) -> Iterator[TrainedModel]:
+    """Return the models of all trainings in their order: those that lie in folders, and the others, trained here."""
+    wanted = [(job, training.preparation) for training in trainings for job in training.jobs]
+    found = [trained_before(folders, *each) for each in wanted]
+    jobs = [job for (job, _), model in zip(wanted, found, strict=True) if model is None]
+    with Progress(console=Console(stderr=True)) as bars:
+        task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))
+        results = iter(train_seeds(jobs, lambda *_: bars.advance(task), None))
+    for each, model in zip(wanted, found, strict=True):
+        yield model or _trained(*each, next(results))
+
+
+def _trained(job: TrainingJob, preparation: Preparation, result: SeedResult) -> TrainedModel:
     weights = {name: torch.from_numpy(values) for name, values in result.weights.items()}
     dynamics = NetworkDynamics.with_weights(job.transitions.robot, job.config, weights)
-    return Trained(dynamics, result.seed, job.recipe, (result,))
+    provenance = provenance_of(Trained(dynamics, result.seed, job.recipe, (result,)), preparation)
+    return TrainedModel(result.seed, None if result.dead else dynamics, provenance, result.dead)
 
 
 def _rows(outcome: Outcome) -> list[dict[str, Any]]:
@@ -178,8 +195,8 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
         "real": training.real_rows,
         "learned_from": training.preparation.transitions["train"],
         "steps": training.steps,
-        "seeds": len(outcome.results),
-        "dead_seeds": sum(result.dead is not None for result in outcome.results),
+        "seeds": len(outcome.models),
+        "dead_seeds": sum(model.dead is not None for model in outcome.models),
     }
     return [{**about, "recording": place, **_errors(own)} for place, own in outcome.measurements.items()]
 
@@ -200,7 +217,7 @@ def _metrics(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {
         outcome.training.name: {
             "steps": outcome.training.steps,
-            "dead": {str(result.seed): result.dead for result in outcome.results if result.dead},
+            "dead": {str(model.seed): model.dead for model in outcome.models if model.dead},
             **{place: [each.overall.plain() for each in own] for place, own in outcome.measurements.items()},
         }
         for outcome in outcomes

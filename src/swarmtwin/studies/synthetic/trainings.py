@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from swarmtwin.dynamics.model_folder import MODEL_FOLDER, load_dynamics, read_description
+from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.training import TrainingJob
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import folder_digest
@@ -195,3 +198,44 @@ class Training:
         if generator and self.case.source != "mixture":
             return generator.real_transitions
         return round(self.case.real_share * (counts["train"] + counts["validation"]))
+
+
+@dataclass(frozen=True)
+class TrainedModel:
+    """What came of one seed of a case.
+
+    Attributes:
+        seed: the seed.
+        dynamics: the model; None where the seed is dead.
+        provenance: where it comes from.
+        dead: why the seed cannot be used; None for a live one.
+    """
+
+    seed: int
+    dynamics: NetworkDynamics | None
+    provenance: Provenance
+    dead: str | None = None
+
+
+def trained_before(folders: Sequence[Path], job: TrainingJob, preparation: Preparation) -> TrainedModel | None:
+    """Return the model in one of some folders that came of the very same training; None where there is none.
+
+    Args:
+        folders: as `train` leaves them; those that do not exist are passed over.
+        job: the training.
+        preparation: how the transitions came about that it learns from.
+
+    Raises:
+        UserError: a model's folder is damaged.
+    """
+    wanted = job.config.model_dump(mode="json"), job.transitions.robot
+    for folder in folders:
+        if not (folder / MODEL_FOLDER.description_file).exists():
+            continue
+        description = read_description(folder)
+        provenance = Provenance.read(folder)
+        if (description.model, description.robot) != wanted or provenance.seed != job.seed:
+            continue
+        if provenance == Provenance.of(preparation, job.recipe.model_dump(mode="json"), job.seed, provenance.seeds):
+            return TrainedModel(job.seed, load_dynamics(folder), provenance)
+    return None
