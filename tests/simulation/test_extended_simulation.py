@@ -94,7 +94,7 @@ def test_every_mechanism_comes_back(robots, tmp_path):
     everything = {}
     for name in mechanism_names():
         kind = mechanism_class(name)
-        read = kind.read_from_clock(np.array([0.45, 0.55]), 0.5) or {}
+        read = kind.read_from_clock(np.array([0.45, 0.55]), robot) or {}
         everything[name] = {**kind.initial_points(robot, conditions_of(robot))[0], **read}
     model = learned(robot, everything)
     save_extended(tmp_path, model, {})

@@ -254,9 +254,16 @@ def test_motion_lasts_as_long_as_the_period(robots):
         situation = situation_of(robot, rng, duration_s=periods * robot.period_s)
         measured, simulated = moved(robot, "timing_jitter", situation)
         torch.testing.assert_close(log_map(measured), log_map(simulated) * torch.as_tensor(periods)[:, None])
+
+
+@pytest.mark.parametrize("spread", [0.02, 0.1, 0.25])
+def test_the_spread_of_periods_is_read_though_those_that_last_too_long_are_not_seen(robots, spread):
     jitter = mechanism_class("timing_jitter")
-    assert jitter.read_from_clock(np.array([0.45, 0.55] * 50), 0.5) == pytest.approx({"spread": 0.1})
-    assert jitter.read_from_clock(np.full(100, 0.5), 0.5) is None
+    for robot in (robots["mgr"], robots["mur"]):
+        duration_s = robot.period_s * np.random.default_rng(21).normal(1.0, spread, 20_000)
+        seen = duration_s[duration_s <= robot.longest_gap_s]
+        assert jitter.read_from_clock(seen, robot) == pytest.approx({"spread": spread}, rel=0.03)
+        assert jitter.read_from_clock(np.full(100, robot.period_s), robot) is None
 
 
 def test_only_a_change_of_noise_multiplies_noise(robots):

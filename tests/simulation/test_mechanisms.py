@@ -78,13 +78,13 @@ def test_parameters_are_bounded_and_searches_begin_inside(robots, robot, name):
     for start in kind.initial_points(robot, conditions):
         assert set(start) == set(parameters)
         assert all(parameter.low <= start[field] <= parameter.high for field, parameter in parameters.items())
-        assert set(kind.at({**start, **_observed(kind)}).reported()) == set(kind.units(robot, conditions))
-        mechanism({"name": name, **start, **_observed(kind)}, "here")
+        assert set(kind.at({**start, **_observed(kind, robot)}).reported()) == set(kind.units(robot, conditions))
+        mechanism({"name": name, **start, **_observed(kind, robot)}, "here")
     assert not parameters or any(parameter.null_value is not None for parameter in parameters.values())
 
 
-def _observed(kind):
-    return kind.read_from_clock(np.array([0.45, 0.55]), 0.5) or {}
+def _observed(kind, robot):
+    return kind.read_from_clock(robot.period_s * np.array([0.9, 1.1]), robot) or {}
 
 
 def test_an_unknown_cause_and_an_unknown_parameter_are_refused_with_the_near_miss():

@@ -96,7 +96,7 @@ def _clock_samples(model: SessionLikelihood, mechanism: Mechanism, rng: np.rando
     samples: dict[str, list[float]] = {name: [] for name in mechanism.reported()}
     for _ in range(model.settings.estimation.clock_bootstraps):
         chosen = np.concatenate([rows[run] for run in rng.integers(0, len(rows), len(rows))])
-        seen = type(mechanism).read_from_clock(duration_s[chosen], model.robot.period_s) or {}
+        seen = type(mechanism).read_from_clock(duration_s[chosen], model.robot) or {}
         for name, values in samples.items():
             values.append(seen.get(name, 0.0))
     return {name: np.array(values) for name, values in samples.items()}

@@ -245,12 +245,12 @@ class SessionLikelihood(SessionErrors):
 
     def read_off_clock(self, kind: MechanismClass) -> dict[str, float]:
         """Return what a mechanism reads off the session's clock."""
-        return kind.read_from_clock(self.session.transitions.duration_s, self.robot.period_s) or {}
+        return kind.read_from_clock(self.session.transitions.duration_s, self.robot) or {}
 
     def can_show(self, kind: MechanismClass) -> bool:
         """Say whether the session can show a mechanism at all."""
         transitions = self.session.transitions
-        if kind.read_from_clock(transitions.duration_s, self.robot.period_s) is None:
+        if kind.read_from_clock(transitions.duration_s, self.robot) is None:
             return False
         return "neighbours" not in kind.inputs or bool(np.isfinite(transitions.neighbours).any())
 

@@ -21,7 +21,7 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import end_memory, period_motion, remembered_after_two
+from swarmtwin.simulation.signal_chain import FOLLOWING, SETTING, end_memory, period_motion, remembered_after_two
 
 
 class LossOutcomes(NamedTuple):
@@ -164,6 +164,11 @@ class SessionPredictor:
             most_rounds: of a memory that does not forget.
             tolerance: change, as a share of the memory's own spread, below which nothing is said to change.
         """
+        first = {name: values for name, values in memory.items() if name in FOLLOWING}
+        if SETTING in first and len(first) < len(
+            memory
+        ):  # settings hang on nothing else, and what they bring about is asked once
+            memory = memory | self._carried(mechanisms, twists, first, most_rounds, tolerance)
         known = torch.as_tensor(self.follows >= 0)
         before = torch.as_tensor(np.maximum(self.follows, 0))
         for _ in range(most_rounds):

@@ -4,7 +4,7 @@ Twists are per nominal period: (N, 3) forward_mm, left_mm, turn_rad. Times are i
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,8 +19,8 @@ Supply = Callable[[Tensor], Tensor]
 """What becomes of twists (N, 3) of actuators with their supply as it is."""
 
 
-class WheelTwists(NamedTuple):
-    """Twists (N, 3) that wheels have, and those that they would have with no lag but their own."""
+class ActuatorTwists(NamedTuple):
+    """Twists (N, 3) that actuators bring about, and those that they would with no lag but their own."""
 
     now: Tensor
     undisturbed: Tensor
@@ -47,23 +47,66 @@ class Following(NamedTuple):
         return [end - start for start, end in pairwise((0.0, *self.ends))]
 
     def wheels(
-        self, twists: BaseTwists, supply: Supply, wheels: WheelTwists
-    ) -> tuple[list[Tensor], Tensor | None, WheelTwists]:
-        """Let wheels' speeds follow: the mean twist of each piece, a correction to that of all, wheels at the end.
+        self, twists: BaseTwists, supply: Supply, wheels: ActuatorTwists
+    ) -> tuple[list[Tensor], Tensor | None, ActuatorTwists]:
+        """Let wheels' speeds follow: the mean twist of each piece, a correction to that of all, twists at the end."""
+        new, old = supply(twists.steady(self.place)), supply(twists.steady(self.place + 1))
+        targets = [old if end <= self.latency else new for end in self.ends]
+        return self._relaxed(twists, supply, wheels, targets, self.added_lag)
+
+    def settings(
+        self, twists: BaseTwists, supply: Supply, setting: Tensor, moving: ActuatorTwists
+    ) -> tuple[list[Tensor], Tensor | None, ActuatorTwists]:
+        """Let the setting (N, m) of fins or propellers follow, and the motion follow that; returned as by `wheels`."""
+        targets: list[Tensor] = []
+        for change in self._setting_changes(twists, setting):
+            targets += [supply(piece) for piece in change.twists(twists)]
+        return self._relaxed(twists, supply, moving, targets, 0.0)
+
+    def settings_at_end(
+        self, twists: BaseTwists, supply: Supply, setting: Tensor, moving: ActuatorTwists
+    ) -> tuple[Tensor, ActuatorTwists]:
+        """Return where the setting (N, m) of fins or propellers has come to at the period's end, and the motion.
+
+        What is between two settings is taken for linear: by then little of the way is left, and nothing new is asked.
+        """
+        whole = self._replace(ends=(self.latency, 1.0) if 0 < self.latency < 1 else (1.0,))
+        own_lag = twists.moment.conditions.own_lag
+        twist, undisturbed = moving
+        for share, target in zip(whole.shares, whole._targets_between(twists, supply), strict=True):
+            _, twist = _relaxed_twist(twist, target, share, own_lag)
+        for change in whole._setting_changes(twists, setting):
+            setting = change.end
+        _, undisturbed = _relaxed_twist(undisturbed, supply(twists.steady(self.place)), 1.0, own_lag)
+        return setting, ActuatorTwists(twist, undisturbed)
+
+    def _targets_between(self, twists: BaseTwists, supply: Supply) -> Iterator[Tensor]:
+        """Yield for each piece the twist (N, 3) of what is left on average of the way from one command to the next."""
+        new, old = supply(twists.steady(self.place)), supply(twists.steady(self.place + 1))
+        rest = 1.0
+        for share, end in zip(self.shares, self.ends, strict=True):
+            if end <= self.latency:
+                yield old
+                continue
+            on_average, at_last = _left_over(share, self.added_lag)
+            yield new + rest * on_average * (old - new)
+            rest *= at_last
+
+    def _relaxed(
+        self, twists: BaseTwists, supply: Supply, moving: ActuatorTwists, targets: Sequence[Tensor], added_lag: float
+    ) -> tuple[list[Tensor], Tensor | None, ActuatorTwists]:
+        """Let twists follow targets (N, 3), one a piece, with the actuators' own lag and more.
 
         The dynamics model's response holds the lag that the actuators have by themselves. It stands where nothing is
         added: the pieces are shifted by what it differs from a lag of first order, and what their product lacks is
         corrected.
         """
         own_lag = twists.moment.conditions.own_lag
-        response, new, old = (
-            supply(twist)
-            for twist in (twists.response(self.place), twists.steady(self.place), twists.steady(self.place + 1))
-        )
-        twist, reference = wheels
+        response, new = supply(twists.response(self.place)), supply(twists.steady(self.place))
+        twist, reference = moving
         pieces, references = [], []
-        for share, end in zip(self.shares, self.ends, strict=True):
-            mean, twist = _relaxed_twist(twist, old if end <= self.latency else new, share, own_lag + self.added_lag)
+        for share, target in zip(self.shares, targets, strict=True):
+            mean, twist = _relaxed_twist(twist, target, share, own_lag + added_lag)
             reference_mean, reference = _relaxed_twist(reference, new, share, own_lag)
             pieces.append(mean)
             references.append(reference_mean)
@@ -72,22 +115,7 @@ class Following(NamedTuple):
         if own_lag > 0:
             undisturbed = composed(zip(self.shares, (piece + learned for piece in references), strict=True))
             correction = response - log_map(undisturbed)
-        return [piece + learned for piece in pieces], correction, WheelTwists(twist, reference)
-
-    def settings(self, twists: BaseTwists, supply: Supply, setting: Tensor) -> tuple[list[Tensor], Tensor]:
-        """Let the setting (N, m) of fins or propellers follow: the mean twist of each piece, the setting at the end."""
-        pieces: list[Tensor] = []
-        for change in self._setting_changes(twists, setting):
-            pieces += [supply(piece) for piece in change.twists(twists)]
-            setting = change.end
-        learned = supply(twists.response(self.place)) - supply(twists.steady(self.place))
-        return [piece + learned for piece in pieces], setting
-
-    def setting_at_end(self, twists: BaseTwists, setting: Tensor) -> Tensor:
-        """Return where the setting (N, m) of fins or propellers has come to at the period's end."""
-        for change in self._setting_changes(twists, setting):
-            setting = change.end
-        return setting
+        return [piece + learned for piece in pieces], correction, ActuatorTwists(twist, reference)
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
         """Yield how settings change: towards the command before until the new one acts, then towards that."""

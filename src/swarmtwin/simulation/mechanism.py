@@ -170,8 +170,11 @@ class Mechanism(StrictModel, ABC):
         return combined
 
     @classmethod
-    def read_from_clock(cls, duration_s: np.ndarray, period_s: float) -> dict[str, float] | None:
-        """Return fields that are read off the periods' lengths (N,) instead of fitted; None where they show nothing."""
+    def read_from_clock(cls, duration_s: np.ndarray, robot: Robot) -> dict[str, float] | None:
+        """Return fields that are read off the periods' lengths (N,) instead of fitted; None where they show nothing.
+
+        Periods longer than the robot's longest gap are no transitions, and are not among them.
+        """
         return {}
 
     @classmethod

@@ -15,11 +15,13 @@ from torch import Tensor
 
 from swarmtwin.geometry import compose, exp_map, log_map, rotate
 from swarmtwin.simulation.base_twists import BaseTwists
-from swarmtwin.simulation.following_actuators import Following, WheelTwists, composed
+from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
 from swarmtwin.simulation.mechanism import Mechanism, Moment, scaled_by_effort
 
 Memory = Mapping[str, Tensor]
 TWIST, REFERENCE_TWIST, SETTING = "actuator twist", "reference's actuator twist", "actuator setting"
+FOLLOWING = frozenset({TWIST, REFERENCE_TWIST, SETTING})
+"""Memory of what follows a command, whatever else acts."""
 
 
 class ActuatorMotion(NamedTuple):
@@ -69,11 +71,19 @@ def end_memory(
     mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory, place: int = 0
 ) -> dict[str, Tensor]:
     """Return what actuators remember at the end of the period of the command in a place, from what they did before."""
-    if set(memory) != {SETTING}:
+    if set(memory) != FOLLOWING:
         return actuator_motion(mechanisms, twists, place, memory).memory
-    following = _following(mechanisms, twists.moment, place)  # settings change whatever they bring about
-    ends = (following.latency, 1.0) if following.latency > 0 else (1.0,)
-    return {SETTING: following._replace(ends=ends).setting_at_end(twists, memory[SETTING])}
+    moment = replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
+    return _settings_at_end(
+        _following(mechanisms, moment, place), twists, partial(_supplied, mechanisms, moment), memory
+    )
+
+
+def _settings_at_end(following: Following, twists: BaseTwists, supply: Supply, memory: Memory) -> dict[str, Tensor]:
+    """Return what settings of fins or propellers have come to at the period's end, whatever else acts on them."""
+    moving = ActuatorTwists(memory[TWIST], memory[REFERENCE_TWIST])
+    setting, moving = following.settings_at_end(twists, supply, memory[SETTING], moving)
+    return {SETTING: setting, TWIST: moving.now, REFERENCE_TWIST: moving.undisturbed}
 
 
 def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
@@ -83,21 +93,20 @@ def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: 
     following = _following(mechanisms, moment, place)
     carried = dict(memory)
     correction = None
-    if following.latency <= 0 and following.added_lag <= 0:
+    if not carried:  # nothing late, gradual or with memory: the model's own answer
         response = supply(twists.response(place))
         pieces = [response] * len(following.ends)
         knows_before = "previous_command" in twists.dynamics.inputs
         end = supply(twists.steady(place)) if knows_before else response
-        if carried:
-            carried |= _at_rest_in(mechanisms, twists, place)
-    elif moment.robot.actuation.kind == "thrust":
-        pieces, carried[SETTING] = following.settings(twists, supply, carried[SETTING])
-        end = pieces[-1]
     else:
-        wheels = WheelTwists(carried[TWIST], carried[REFERENCE_TWIST])
-        pieces, correction, wheels = following.wheels(twists, supply, wheels)
-        end = carried[TWIST] = wheels.now
-        carried[REFERENCE_TWIST] = wheels.undisturbed
+        moving = ActuatorTwists(carried[TWIST], carried[REFERENCE_TWIST])
+        if moment.robot.actuation.kind == "thrust":
+            pieces, correction, moving = following.settings(twists, supply, carried[SETTING], moving)
+            carried |= _settings_at_end(following, twists, supply, carried)
+        else:
+            pieces, correction, moving = following.wheels(twists, supply, moving)
+            carried |= {TWIST: moving.now, REFERENCE_TWIST: moving.undisturbed}
+        end = moving.now
     for mechanism in mechanisms:
         if mechanism.name in carried:
             for index, share in enumerate(following.shares):
@@ -131,11 +140,10 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:
-    """Return what actuators remember that have come to rest in the command of a place: a setting, or wheels' twists."""
-    if twists.moment.robot.actuation.kind == "thrust":
-        return {SETTING: twists.setting(place)}
+    """Return what actuators remember that have come to rest in the command of a place: twists, and thrust's setting."""
     twist = _supplied(mechanisms, twists.moment, twists.steady(place))
-    return {TWIST: twist, REFERENCE_TWIST: twist}
+    setting = {SETTING: twists.setting(place)} if twists.moment.robot.actuation.kind == "thrust" else {}
+    return {**setting, TWIST: twist, REFERENCE_TWIST: twist}
 
 
 def _supplied(mechanisms: Sequence[Mechanism], moment: Moment, twist: Tensor) -> Tensor:
@@ -159,8 +167,8 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
         for mechanism in gripping:
             traction = mechanism.traction(middle, moment)
             factor = factor if traction is None else factor * traction[:, None]
-        moved = compose(moved, exp_map(scaled_by_effort(twist, factor, moment) * share))
-    return moved, end if factor is None else scaled_by_effort(end, factor, moment)
+        moved = compose(moved, exp_map(twist * factor * share))
+    return moved, end if factor is None else end * factor
 
 
 def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, moment: Moment) -> Tensor:

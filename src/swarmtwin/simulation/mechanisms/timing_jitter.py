@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import torch
+from scipy import optimize, stats
 from torch import Tensor
 
 from swarmtwin.robot import Robot, SituationPart
@@ -25,10 +26,23 @@ class Config(Mechanism):
     spread: float
 
     @classmethod
-    def read_from_clock(cls, duration_s: np.ndarray, period_s: float) -> dict[str, float] | None:
-        """Read the spread off the clock; None where periods differ by no more than times are rounded to."""
-        spread = float(np.std(duration_s) / period_s)
-        return {"spread": spread} if spread > 0.003 else None
+    def read_from_clock(cls, duration_s: np.ndarray, robot: Robot) -> dict[str, float] | None:
+        """Read the spread off the clock; None where periods differ by no more than times are rounded to.
+
+        It is the likeliest of normal deviations from nominal that are not seen where a period lasts too long.
+        """
+        period_s, longest = robot.period_s, robot.longest_gap_s / robot.period_s - 1
+        deviation = duration_s / period_s - 1
+        if np.std(deviation) <= 0.003:
+            return None
+        squares = float((deviation**2).mean())
+
+        def loss(log_spread: float) -> float:
+            spread = np.exp(log_spread)
+            return float(squares / (2 * spread**2) + log_spread + stats.norm.logcdf(longest / spread))
+
+        found = optimize.minimize_scalar(loss, bounds=(np.log(1e-3), 0.0), method="bounded", options={"xatol": 1e-4})
+        return {"spread": float(np.exp(found.x))}
 
     @classmethod
     def units(cls, robot: Robot, conditions: SessionConditions) -> dict[str, str]:
