@@ -1,15 +1,16 @@
 """Step 3. Which sets of causes make a session likely: the best of all are fitted, and share the probability."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from swarmtwin.diagnosis.estimation import EstimatedSet, Progress, estimate
-from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood
+from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.screening import Candidate, best_by_name, candidates, pairs
 from swarmtwin.diagnosis.settings import SearchSettings
+from swarmtwin.simulation.mechanism import Mechanism
 
 
 def needed_nats(settings: SearchSettings, transitions: int) -> float:
@@ -63,11 +64,17 @@ class CauseSearch:
         model: of the session.
         kinds: the mechanisms offered, by name.
         progress: called with what is being tried.
+        usual_loss: says what share of commands the reference seems to lose as well; asked where it matters.
     """
 
     def __init__(
-        self, model: SessionLikelihood, kinds: Mapping[str, MechanismClass], progress: Progress | None = None
+        self,
+        model: SessionLikelihood,
+        kinds: Mapping[str, MechanismClass],
+        progress: Progress | None = None,
+        usual_loss: Callable[[], float] = float,
     ) -> None:
+        self._usual_loss, self._usual_gain = usual_loss, dict[tuple[str, ...], float]()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = {name: kind for name, kind in kinds.items() if model.can_show(kind)}
         self.fitted: dict[frozenset[str], EstimatedSet] = {}
@@ -97,7 +104,26 @@ class CauseSearch:
 
     def score(self, one: EstimatedSet) -> float:
         """Return the log of evidence times prior, each cause's gain counted from where it begins to matter."""
-        return one.evidence - len(one.names) * needed_nats(self.settings, len(self.model.session))
+        needed = len(one.names) * needed_nats(self.settings, len(self.model.session))
+        return one.evidence - needed - self._gained_by_usual_loss(one)
+
+    def _gained_by_usual_loss(self, one: EstimatedSet) -> float:
+        """Return the nats that a set with lost commands gains by as many as the reference seems to lose: no news."""
+        if not loses_commands(one.fitted.kinds):
+            return 0.0
+        if one.names not in self._usual_gain:
+            usual, none = (self._with_loss(one, share) for share in (self._usual_loss(), 0.0))
+            totals = [self.model.evaluate(mechanisms).total for mechanisms in (usual, none)]
+            self._usual_gain[one.names] = max(totals[0] - totals[1], 0.0) if usual != none else 0.0
+        return self._usual_gain[one.names]
+
+    @staticmethod
+    def _with_loss(one: EstimatedSet, share: float) -> list[Mechanism]:
+        """Return a set's mechanisms, those that lose commands losing a share of them."""
+        return [
+            type(each).at(dict.fromkeys(each.values(), share)) if loses_commands([type(each)]) else each
+            for each in one.mechanisms
+        ]
 
     def _fit(self, start: Sequence, names: Sequence[str]) -> EstimatedSet:
         key = frozenset(names)

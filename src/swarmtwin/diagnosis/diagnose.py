@@ -10,7 +10,7 @@
    the next recording (`cause_report`, `gains`, `detection_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.left_over import Explanation, explanation
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
@@ -78,7 +78,7 @@ def diagnose(
     if extended:
         unfitted = reference.likelihood_of(session.where(held_out))
         likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
-        objection = not_confirmed(gain, likelihood)
+        objection = not_confirmed(gain, likelihood, settings.immaterial)
     named = reported_causes(explained, rng)
     result = DiagnosisResult(
         verdict="unexplained" if objection else explained.verdict,
@@ -142,7 +142,20 @@ def find_causes(reference: Reference, model: SessionLikelihood, progress: Progre
     session = model.session
     every = -(-len(session) // reference.settings.search.most_transitions)
     part = model if every <= 1 else reference.likelihood_of(session.where(session.run % every == 0))
-    return CauseSearch(part, kinds, progress).run()
+    return CauseSearch(part, kinds, progress, lambda: usual_loss(reference, kinds)).run()
+
+
+def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> float:
+    """Return the share of commands that the reference itself seems to lose: times that are not exact look like that.
+
+    It is none where what the reference gets wrong is a gap as well (no `discrepancy`).
+    """
+    lossy = [kind for kind in kinds.values() if loses_commands([kind])]
+    if reference.discrepancy is None or not lossy:
+        return 0.0
+    own = reference.own_part(reference.settings.search.most_transitions)
+    points = lossy[0].initial_points(own.robot, own.session.conditions)
+    return float(estimate(own, [lossy[0].at(points[0])]).values[0])
 
 
 def _extended(reference: Reference, simulation: Simulation, explained: Explanation, seed: int) -> Simulation | None:

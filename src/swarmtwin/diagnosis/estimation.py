@@ -161,15 +161,17 @@ class _Search:
         return self.model.evaluate(self.at(values)).total
 
     def by_likelihood(self, values: np.ndarray) -> np.ndarray:
-        """Search the likelihood itself, where which commands arrived is summed over."""
+        """Search the likelihood itself, where which commands arrived is summed over; steps are in standard errors."""
+        information, _ = self._curvature(values)
+        scale = 1 / np.sqrt(np.diag(information))
         found = optimize.minimize(
-            lambda scaled: -self._total(self.clipped(scaled * self.step)),
-            values / self.step,
+            lambda scaled: -self._total(self.clipped(scaled * scale)),
+            values / scale,
             method="L-BFGS-B",
-            bounds=list(zip(self.low / self.step, self.high / self.step, strict=True)),
-            options={"eps": 0.1, "maxiter": self.settings.likelihood_rounds, "ftol": 1e-8},
+            bounds=list(zip(self.low / scale, self.high / scale, strict=True)),
+            options={"eps": 0.1 * self.step / scale, "maxiter": self.settings.likelihood_rounds, "ftol": 1e-8},
         )
-        return self.clipped(found.x * self.step)
+        return self.clipped(found.x * scale)
 
     def polished(self, values: np.ndarray) -> np.ndarray:
         """Search a little around values where the motion changes by jumps."""

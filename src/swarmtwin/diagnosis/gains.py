@@ -86,28 +86,32 @@ def likelihood_gain(unfitted: SessionLikelihood, extended: Simulation, draws: in
     return _gain(before, after, unfitted.session.run, draws, rng)
 
 
-def not_confirmed(gain: Gains, likelihood: Gain) -> str | None:
+def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float) -> str | None:
     """Say why held-out runs do not confirm an extension; None where they do.
 
     They do if position or orientation after one period is measurably better, the whole 95 % interval of its gain above
-    zero, and neither of them nor open loop is measurably worse. Where the likeliest motion stays as it was, as with
-    commands that are lost now and then, no error can fall: the held-out runs must be measurably more likely instead.
+    zero, neither of them is measurably worse, and open loop is not worse on average: whoever drives in the extended
+    simulation drives in open loop. Where the likeliest motion stays as it was, as with commands that are lost now and
+    then, no error can fall: the held-out runs must be measurably more likely instead.
 
     Args:
         gain: of the extension.
         likelihood: likewise, of the negative log-likelihood.
+        immaterial: share of an error by which it may rise.
     """
     one_step = {"position": (gain.position_mm, "mm"), "orientation": (gain.orientation_deg, "°")}
-    all_errors = {**one_step, "open loop": (gain.open_loop_mm, "mm")}
-    if all(one.before == one.after for one, _ in all_errors.values()):
+    loop = gain.open_loop_mm
+    if all(one.before == one.after for one in (gain.position_mm, gain.orientation_deg, loop)):
         return None if likelihood.low > 0 else "they are not measurably more likely with it"
     faults = []
     if not any(one.low > 0 for one, _ in one_step.values()):
         figures = ", ".join(_told(one, unit) for one, unit in one_step.values())
         faults.append(f"neither position nor orientation is measurably better ({figures})")
-    for name, (one, unit) in all_errors.items():
-        if one.high < 0 and one.after > one.before:
+    for name, (one, unit) in one_step.items():
+        if one.high < -immaterial * one.before and one.after > one.before:
             faults.append(f"the {name} is measurably worse ({_told(one, unit)})")
+    if loop.after > (1 + immaterial) * loop.before:
+        faults.append(f"open loop is worse ({_told(loop, 'mm')})")
     return " and ".join(faults) or None
 
 

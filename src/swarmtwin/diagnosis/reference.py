@@ -171,6 +171,15 @@ class Reference:
             self.cross_fitted, self.noise, self.session, discrepancy=self.discrepancy, settings=self.settings
         )
 
+    def own_part(self, most: int) -> SessionLikelihood:
+        """Return the same of so many of its transitions at most: every second, third, … run of a longer reference."""
+        every = -(-len(self.session) // most)
+        rows = self.session.run % every == 0
+        part = CrossFitted(self.base, self.cross_fitted.fold[rows])
+        return SessionLikelihood(
+            part, self.noise, self.session.where(rows), discrepancy=self.discrepancy, settings=self.settings
+        )
+
     def comparable(self, measured: Recording) -> "ComparableSession":
         """Return what of a measured recording can be compared.
 
@@ -205,10 +214,13 @@ class Reference:
         spread = np.maximum(known.std(axis=0), 1e-9)
         tree = cKDTree(known / spread)
         count = min(settings.coverage_neighbours, len(known) - 1)
-        sample = known[:: max(1, len(known) // 2000)]  # 2,000 tell a median well enough
+        sample = known[:: max(1, len(known) // 2000)]  # 2,000 tell quantiles well enough
         own = tree.query(sample / spread, k=[count + 1])[0]
         asked = tree.query(commands / spread, k=[count])[0][:, 0]
-        covered: np.ndarray = asked <= settings.coverage_distance * np.median(own) + 1e-9
+        usual = settings.coverage_distance * np.median(
+            own
+        )  # where few commands are sent again and again, nearly nothing
+        covered: np.ndarray = asked <= max(usual, np.quantile(own, settings.coverage_share)) + 1e-9
         return covered
 
 

@@ -23,7 +23,8 @@ class ReferenceSettings(StrictModel):
         fewest_runs: of a recording from which anything is concluded; runs are the blocks of every statistic.
         fewest_transitions: likewise, of transitions that follow another one.
         coverage_neighbours: reference commands whose distance says whether a measured command is covered.
-        coverage_distance: largest such distance, over the median distance within the reference itself.
+        coverage_distance: largest such distance, over the median distance within the reference itself,
+        coverage_share: or as far as this share of its own commands are from each other.
         overlap_neighbours: reference transitions that each measured one counts for, when the reference is weighted to
             stand for what it would show if it were driven as the session was.
     """
@@ -33,6 +34,7 @@ class ReferenceSettings(StrictModel):
     fewest_transitions: Count = 400
     coverage_neighbours: Count = 10
     coverage_distance: Positive = 4.0
+    coverage_share: Share = 0.99
     overlap_neighbours: Count = 5
 
 
@@ -210,6 +212,7 @@ class VerdictSettings(StrictModel):
         alarm_nats_a_transition: and for each transition.
         most_left: of what the causes gain that may be left over: another form of the same causes leaves as much.
         gain_draws: bootstraps over runs for the gain's interval.
+        immaterial: share of an error by which it may rise on held-out runs where another one falls.
     """
 
     held_out_every: Annotated[int, Field(ge=2)] = 4
@@ -217,6 +220,7 @@ class VerdictSettings(StrictModel):
     alarm_nats_a_transition: NonNegative = 0.002
     most_left: Share = 0.1
     gain_draws: Count = 1000
+    immaterial: Share = 0.01
 
 
 class NextRecordingSettings(StrictModel):
