@@ -49,6 +49,11 @@ def as_it_is(pose):
     return pose
 
 
+def still(way):
+    """No spread, (R, 3)."""
+    return torch.zeros_like(way)
+
+
 def steady_spread(way):
     """Standard deviation (R, 3) of the ways."""
     return torch.tensor(SPREAD, dtype=torch.float64).expand_as(way)

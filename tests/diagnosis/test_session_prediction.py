@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from exact_base import ExactBase, session_of
+from exact_base import ExactBase, session_of, still
 
 from exact_model import conditions_of
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
@@ -37,7 +37,6 @@ def test_a_session_is_predicted_as_the_simulation_steps(robots, names):
     """From the fourth period of a run on: what the command before the first was is not measured."""
     base = ExactBase(robots["mgr"])
     mechanisms = [mechanism_class(name).at(REMEMBERING[name]) for name in names]
-    still = lambda way: torch.zeros_like(way)  # noqa: E731
     session = session_of(base, np.random.default_rng(1), stepped(base, mechanisms), spread=still, runs=20, steps=20)
     predictor = SessionPredictor(base, session.conditions, session.situation, session.follows)
     measured = log_map(torch.as_tensor(session.transitions.displacement))
@@ -52,7 +51,6 @@ def test_what_two_commands_leave_is_not_enough(robots):
     """A lag as long as the period: without the state that is carried, the prediction would be off."""
     base = ExactBase(robots["mgr"])
     lag = [mechanism_class("actuator_lag").at({"time_constant_s": 0.5})]
-    still = lambda way: torch.zeros_like(way)  # noqa: E731
     session = session_of(base, np.random.default_rng(2), stepped(base, lag), spread=still, runs=20, steps=20)
     measured = log_map(torch.as_tensor(session.transitions.displacement))
     late = np.tile(np.arange(1, 20), 20) >= 8

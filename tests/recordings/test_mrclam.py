@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmtwin.commands.app import run_command
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, orientation_error_rad, position_error_mm, wrap_angle
 from swarmtwin.recordings.importers.mrclam import Config
+from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.transitions import from_recording
 
@@ -225,3 +227,18 @@ def test_real_robots_are_as_far_from_a_unicycle_as_they_are_known_to_be(create):
         assert 1500 <= of_vehicle.sum() <= 1770
         assert 4.35 < position_mm[of_vehicle].mean() < 5.05
         assert 1.45 < np.degrees(np.sqrt(np.mean(turn_rad[of_vehicle] ** 2))) < 2.45
+
+
+def test_every_command_is_kept_at_the_time_it_was_sent(create, planted, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    imported = ("import", "robot=create", "source=mrclam", f"path={planted}", "output=imported")
+    assert run_command(imported[0], list(imported[1:])) == 0
+    sent = read_recording(tmp_path / "imported", create).sent
+    assert set(sent) == {"1", "2"}
+    time_s, command = sent["1"]
+    assert len(time_s) == 2000
+    np.testing.assert_allclose(np.diff(time_s), 0.02, atol=0.0011)
+    track = next(one for one in read_recording(tmp_path / "imported", create).tracks if one.vehicle == "1")
+    row = np.flatnonzero(np.isfinite(track.command[:, 0]))[3]
+    within = (time_s >= track.time_s[row]) & (time_s < track.time_s[row] + create.period_s)
+    np.testing.assert_allclose(command[within].mean(axis=0), track.command[row], rtol=0.05)

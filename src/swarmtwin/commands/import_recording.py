@@ -12,6 +12,7 @@ from swarmtwin.files import new_folder
 from swarmtwin.recordings.importer import importer_config
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.sent_commands import SENT_FILE, write_sent_commands
 from swarmtwin.recordings.writing import FileFormat, write_recording
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import Counts, Transitions, from_recording
@@ -49,6 +50,8 @@ def run(options: Options) -> dict[str, Any]:
     with new_folder(options.output, "import", config, options.overwrite) as folder:
         header, tracks = importer.read(options.path, options.robot, options.vehicles, options.run_s)
         write_recording(folder, options.robot, header, tracks, options.format)
+        if sent := importer.sent(options.path, options.robot, options.vehicles):
+            write_sent_commands(folder / SENT_FILE, options.robot, sent)
         recording = read_recording(folder, options.robot)
         transitions, counts = from_recording(recording)
     Console().print(_summary(recording, transitions, counts))

@@ -252,6 +252,8 @@ class SessionLikelihood(SessionErrors):
         transitions = self.session.transitions
         if kind.read_from_clock(transitions.duration_s, self.robot) is None:
             return False
+        if loses_commands([kind]) and self.session.sent and self.session.sent.a_period >= 2:
+            return False  # one that is lost is followed by the same, or nearly, within the period
         return "neighbours" not in kind.inputs or bool(np.isfinite(transitions.neighbours).any())
 
 

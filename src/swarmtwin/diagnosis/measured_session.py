@@ -1,7 +1,7 @@
 """Measured transitions as a diagnosis works on them."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import torch
@@ -10,8 +10,53 @@ from torch import Tensor
 
 from swarmtwin.geometry import log_map, rotate, wrap_angle
 from swarmtwin.learning.situation import Situation
+from swarmtwin.recordings.recording import Sent
+from swarmtwin.recordings.resampling import mean_held
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.transitions import Transitions
+
+
+class SentCommands(NamedTuple):
+    """Commands at the times they were sent, for N transitions.
+
+    Attributes:
+        sent: by vehicle.
+        transitions: N.
+        longest_hold_s: a command is taken to hold no longer than this.
+    """
+
+    sent: Sent
+    transitions: Transitions
+    longest_hold_s: float
+
+    @property
+    def a_period(self) -> float:
+        """How many commands are sent in a period, usually."""
+        intervals_s = np.concatenate([np.diff(time_s) for time_s, _ in self.sent.values()])
+        return self.transitions.robot.period_s / float(np.median(intervals_s)) if len(intervals_s) else 0.0
+
+    def late(self, late_s: float, places: int = 3) -> list[np.ndarray]:
+        """Return the mean commands (N, m) in force in each period, the one before, …, where each acts `late_s` late.
+
+        As recorded where the log does not say.
+        """
+        transitions = self.transitions
+        recorded = (transitions.command, transitions.previous_command, transitions.earlier_command)
+        found = [np.array(one, float) for one in recorded[:places]]
+        for index, vehicle in enumerate(transitions.vehicles):
+            rows = np.flatnonzero(transitions.vehicle == index)
+            if vehicle not in self.sent or not len(rows):
+                continue
+            time_s, command = self.sent[vehicle]
+            period_s = transitions.robot.period_s
+            start_s = transitions.time_s[rows] - late_s
+            ends = [(start_s, start_s + transitions.duration_s[rows])]
+            ends += [(start_s - place * period_s, start_s - (place - 1) * period_s) for place in range(1, places)]
+            for known, (begin_s, end_s) in zip(found, ends, strict=True):
+                edges = np.column_stack([begin_s, end_s]).ravel()
+                mean = mean_held(time_s, command, edges, self.longest_hold_s)[::2]
+                known[rows] = np.where(np.isfinite(mean), mean, known[rows])
+        return found
 
 
 @dataclass(frozen=True)
@@ -27,6 +72,7 @@ class MeasuredSession:
         run: (N,) numbers from 0 in order of time: the blocks of every statistic.
         follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
         turned_rad: (N,) angle from the middle of that transition to the middle of this one, 0 where there is none.
+        sent: the commands as they were sent; None where each is sent at the beginning of its period.
     """
 
     transitions: Transitions
@@ -36,9 +82,10 @@ class MeasuredSession:
     run: np.ndarray
     follows: np.ndarray
     turned_rad: Tensor
+    sent: SentCommands | None = None
 
     @classmethod
-    def of(cls, transitions: Transitions, conditions: SessionConditions) -> Self:
+    def of(cls, transitions: Transitions, conditions: SessionConditions, sent: Sent | None = None) -> Self:
         """Take those of the transitions whose previous command is known."""
         known = transitions.where(np.isfinite(transitions.previous_command).all(axis=1))
         twist = log_map(torch.as_tensor(known.displacement))
@@ -56,7 +103,8 @@ class MeasuredSession:
         turn_before = twist[np.maximum(follows, 0), 2]
         turned = torch.where(torch.as_tensor(follows >= 0), (turn_before + twist[:, 2]) / 2, torch.zeros(len(twist)))
         _, run = np.unique(known.run, return_inverse=True)
-        return cls(known, situation, conditions, twist, run, follows, turned.double())
+        log = SentCommands(sent, known, 2 * known.robot.longest_gap_s) if sent else None
+        return cls(known, situation, conditions, twist, run, follows, turned.double(), log)
 
     def __len__(self) -> int:
         return len(self.twist)
@@ -68,7 +116,9 @@ class MeasuredSession:
 
     def where(self, chosen: np.ndarray) -> "MeasuredSession":
         """Return the transitions chosen by a mask (N,)."""
-        return MeasuredSession.of(self.transitions.where(chosen), self.conditions)
+        return MeasuredSession.of(
+            self.transitions.where(chosen), self.conditions, self.sent.sent if self.sent else None
+        )
 
     def chains(self, longest: int = 64) -> list[np.ndarray]:
         """Return the rows of transitions that follow one another, cut into pieces of at most `longest`."""

@@ -197,7 +197,7 @@ class Reference:
         conditions = self.conditions_for(transitions)
         settings = self.settings.reference
         require_enough(MeasuredSession.of(transitions, conditions), settings, "measured")
-        session = MeasuredSession.of(transitions.where(covered), conditions)
+        session = MeasuredSession.of(transitions.where(covered), conditions, measured.sent)
         require_enough(session, settings, "measured", ", as far as the reference covers its commands,")
         return ComparableSession(session, transitions, int((~covered).sum()))
 

@@ -51,7 +51,7 @@ class SessionErrors:
         self.session, self.reference_noise, self.robot = session, noise, base.robot
         self.settings = settings or DiagnosisSettings()
         self.members: int = getattr(base, "members", 0)
-        self.predictor = SessionPredictor(base, session.conditions, session.situation, session.follows)
+        self.predictor = SessionPredictor(base, session.conditions, session.situation, session.follows, session.sent)
         self.simulated = self.predictor.twist(())
         self._measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
         self.strange = tuple(

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from swarmtwin.diagnosis.measured_session import SentCommands
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import compose, displacement_between, log_map
 from swarmtwin.learning.situation import Situation
@@ -49,6 +50,7 @@ class SessionPredictor:
         conditions: of the session.
         situation: N measured situations, float64, whose previous and earlier commands are known.
         follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
+        sent: the commands as they were sent; None where each is sent at the beginning of its period.
         answers: of the base so far, by the mechanisms that change what it is asked; those of the last few are kept.
     """
 
@@ -56,11 +58,12 @@ class SessionPredictor:
     conditions: SessionConditions
     situation: Situation
     follows: np.ndarray
+    sent: SentCommands | None = None
     answers: dict[tuple[str, ...], Answers] = field(default_factory=lambda: {(): Answers()})
 
     def with_member(self, member: int) -> "SessionPredictor":
         """Return it with one member of the base in the place of the mean of all."""
-        return SessionPredictor(OneMember(self.base, member), self.conditions, self.situation, self.follows)  # type: ignore[arg-type]
+        return SessionPredictor(OneMember(self.base, member), self.conditions, self.situation, self.follows, self.sent)  # type: ignore[arg-type]
 
     def moment(self) -> Moment:
         """Return the situations as mechanisms see them, at their measured poses."""
@@ -125,6 +128,12 @@ class SessionPredictor:
         if moved_camera:
             moment = Moment(**{**vars(moment), "pose": true})
         given = list(self._commands())
+        late = [mechanism for mechanism in mechanisms if mechanism.latency_s() > 0] if self.sent else []
+        if self.sent and late:  # known to the moment: what is in force is averaged, and nothing is late any more
+            by_place = self.sent.late(sum(mechanism.latency_s() for mechanism in late))
+            given = [torch.as_tensor(np.where(np.isfinite(one), one, by_place[0])) for one in by_place]
+            mechanisms = [mechanism for mechanism in mechanisms if mechanism not in late]
+            changing += late
         for mechanism in mechanisms:
             sent, given = given, [mechanism.transform_command(command, moment) for command in given]
             if any(one is not other for one, other in zip(given, sent, strict=True)):

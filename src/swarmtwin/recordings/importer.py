@@ -6,7 +6,7 @@ from pathlib import Path
 
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.recordings import importers
-from swarmtwin.recordings.recording import Header, Track
+from swarmtwin.recordings.recording import Header, Sent, Track
 from swarmtwin.robot import Robot, StrictModel
 
 
@@ -34,6 +34,14 @@ class ImporterConfig(StrictModel):
         Raises:
             UserError: data are missing or damaged, or of another robot.
         """
+
+    def sent(self, folder: Path, robot: Robot, vehicles: Sequence[str] | None) -> Sent | None:
+        """Return every command at the time it was sent, on the clock of `read`; None where tracks say all.
+
+        Raises:
+            UserError: data are missing or damaged.
+        """
+        return None
 
 
 IMPORTERS: PluginRegistry[ImporterConfig] = PluginRegistry(importers, "source", group="source")

@@ -20,6 +20,7 @@ from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.recording import Header, Recording, Track, fault
+from swarmtwin.recordings.sent_commands import SENT_FILE, read_sent_commands
 from swarmtwin.recordings.tables import parse_run
 from swarmtwin.recordings.tracks import tracks_of
 from swarmtwin.robot import Robot
@@ -66,7 +67,8 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
     if not tracks:
         raise fault(folder / RUNS_FOLDER, "no run holds a complete row", "record the runs again")
     _log_oddities(folder, tracks, dropped, tuple(unread))
-    recording = Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest())
+    sent = read_sent_commands(folder / SENT_FILE, robot) if (folder / SENT_FILE).exists() else None
+    recording = Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest(), sent=sent)
     try:
         warnings = judge(recording, replace(recording, tracks=tuple(in_degrees)) if in_degrees else None)
     except UserError as error:

@@ -15,6 +15,10 @@ Check = Literal["clock", "commands", "still", "arena", "scale", "frame"]
 """What a recording as a whole is judged by: see `plausibility/`."""
 
 
+Sent = Mapping[str, tuple[np.ndarray, np.ndarray]]
+"""Commands as they were sent, by vehicle: times (K,) in s, strictly increasing, and commands (K, m)."""
+
+
 class Header(StrictModel):
     """The content of `recording.yaml`.
 
@@ -79,6 +83,7 @@ class Recording:
         dropped_rows: rows set aside while reading, counted by reason.
         warnings: what is unusual of it as a whole and may be meant.
         digest: identifies the content of the runs, to tell one recording from another.
+        sent: every command at the time it was sent, where commands and poses are not synchronous; None: tracks say all.
     """
 
     robot: Robot
@@ -87,6 +92,7 @@ class Recording:
     dropped_rows: Mapping[str, int] = field(default_factory=dict)
     digest: str = ""
     warnings: tuple[str, ...] = ()
+    sent: Sent | None = None
 
     @property
     def runs(self) -> tuple[str, ...]:

@@ -51,5 +51,7 @@ def mean_held(time_s: np.ndarray, values: np.ndarray, edges_s: np.ndarray, longe
     total = held[last.clip(0)] + values[last.clip(0)] * since_s[:, None]
     total_s = covered_s[last.clip(0)] + since_s
     length_s = np.diff(edges_s)
-    complete = np.diff(total_s) >= length_s - 1e-6
-    return np.where(complete[:, None], np.diff(total, axis=0) / length_s[:, None], np.nan)
+    complete = (np.diff(total_s) >= length_s - 1e-6) & (length_s > 0)
+    mean = np.full((len(length_s), values.shape[1]), np.nan)
+    mean[complete] = np.diff(total, axis=0)[complete] / length_s[complete, None]
+    return mean

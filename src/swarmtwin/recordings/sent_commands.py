@@ -7,11 +7,11 @@ import pandas as pd
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import check_regular
-from swarmtwin.recordings.recording import fault
+from swarmtwin.recordings.recording import Sent, fault
 from swarmtwin.robot import Robot
 
-Sent = dict[str, tuple[np.ndarray, np.ndarray]]
-"""By vehicle: times (K,) in s, strictly increasing, and commands (K, m)."""
+SENT_FILE = "commands.parquet"
+"""Beside a recording's header: every command at the time it was sent, where commands and poses are not synchronous."""
 
 
 def read_sent_commands(path: Path, robot: Robot) -> Sent:
@@ -46,6 +46,16 @@ def read_sent_commands(path: Path, robot: Robot) -> Sent:
             )
         sent[str(vehicle)] = mine[:, 0], mine[:, 1:]
     return sent
+
+
+def write_sent_commands(path: Path, robot: Robot, sent: Sent) -> None:
+    """Write what `read_sent_commands` reads, as Parquet; times to 1 ms."""
+    tables = [
+        pd.DataFrame(command, columns=list(robot.command_columns)).assign(time_s=time_s.round(3), vehicle=vehicle)
+        for vehicle, (time_s, command) in sent.items()
+    ]
+    table = pd.concat(tables).drop_duplicates(["vehicle", "time_s"], keep="last")
+    table[["time_s", "vehicle", *robot.command_columns]].to_parquet(path, index=False)
 
 
 def _table(path: Path, robot: Robot) -> pd.DataFrame:

@@ -18,7 +18,7 @@ import numpy as np
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.recordings.importer import ImporterConfig
-from swarmtwin.recordings.recording import Header, Track, fault
+from swarmtwin.recordings.recording import Header, Sent, Track, fault
 from swarmtwin.recordings.resampling import interpolate_poses, mean_held
 from swarmtwin.robot import Positive, Robot
 
@@ -205,3 +205,17 @@ class Config(ImporterConfig):
             started_at=datetime.datetime.fromtimestamp(session_s, datetime.UTC).isoformat(timespec="milliseconds"),
         )
         return header, sorted(tracks, key=lambda track: (track.run, track.vehicle))
+
+    def sent(self, folder: Path, robot: Robot, vehicles: Sequence[str] | None = None) -> Sent:
+        """Return the velocity commands as they were logged, on the clock of `read`.
+
+        Raises:
+            UserError: files are missing or damaged.
+        """
+        chosen = _chosen_vehicles(folder, vehicles)
+        poses = {
+            vehicle: _read_stream(_pose_file(folder, vehicle), ("time", "x", "y", "heading")) for vehicle in chosen
+        }
+        session_s, _ = _session(folder, poses)
+        streams = {vehicle: _read_stream(_command_file(folder, vehicle), ("time", "v", "omega")) for vehicle in chosen}
+        return {vehicle: (one.time_s - session_s, one.values * [1000, 1]) for vehicle, one in streams.items()}
