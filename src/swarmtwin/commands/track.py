@@ -1,6 +1,7 @@
 """`swarmtwin track`: a video and the commands that were sent become a recording."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -124,7 +125,7 @@ def _track(video: str, calibration: Calibration, robot: Robot, vehicles: tuple[s
         camera.close()
 
 
-def _check_seen(tracked: TrackedPictures, poses: dict[str, Any], sent: dict[str, Any], options: Options) -> None:
+def _check_seen(tracked: TrackedPictures, poses: dict[str, Any], sent: Mapping[str, Any], options: Options) -> None:
     """Warn of vehicles that are never seen, of markers that belong to nobody and of doubts; refuse if nothing fits.
 
     Raises:
