@@ -11,6 +11,7 @@
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -23,14 +24,16 @@ from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.left_over import Explanation, explanation
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
-from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.simulation.mechanism import Mechanism, offered
 from swarmtwin.simulation.mechanisms import noise_change
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.transitions import Transitions
 
 
 def diagnose(
@@ -71,7 +74,7 @@ def diagnose(
     scored = transitions.where(held_out)
     tracks = scored_tracks(measured, believable, scored)
     errors = Errors.of(simulation, scored, tracks)
-    extended_errors = Errors.of(extended, scored, tracks) if extended else errors
+    extended_errors = _errors_of(extended, session, scored, tracks) if extended else errors
     plan, drive = next_recording(reference, explained, seed)
     gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
     objection = None
@@ -156,6 +159,22 @@ def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> flo
     own = reference.own_part(reference.settings.search.most_transitions)
     points = lossy[0].initial_points(own.robot, own.session.conditions)
     return float(estimate(own, [lossy[0].at(points[0])]).values[0])
+
+
+def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:
+    """Return the errors of an extended simulation; delays act to the moment where it is known when commands were sent."""
+    late = [mechanism for mechanism in extended.mechanisms if mechanism.latency_s() > 0]
+    if not session.sent or not late or extended.residual:
+        return Errors.of(extended, scored, tracks)
+    late_s = sum(mechanism.latency_s() for mechanism in late)
+    others = [mechanism for mechanism in extended.mechanisms if mechanism not in late]
+    log = session.sent._replace(transitions=scored)
+    command, previous, earlier = log.late(late_s)
+    return Errors.of(
+        Simulation(extended.dynamics, others, extended.conditions),
+        replace(scored, command=command, previous_command=previous, earlier_command=earlier),
+        [log.acting_late(track, late_s) for track in tracks],
+    )
 
 
 def _extended(reference: Reference, simulation: Simulation, explained: Explanation, seed: int) -> Simulation | None:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from swarmtwin.geometry import log_map, rotate, wrap_angle
 from swarmtwin.learning.situation import Situation
-from swarmtwin.recordings.recording import Sent
+from swarmtwin.recordings.recording import Sent, Track
 from swarmtwin.recordings.resampling import mean_held
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.transitions import Transitions
@@ -45,18 +45,27 @@ class SentCommands(NamedTuple):
         found = [np.array(one, float) for one in recorded[:places]]
         for index, vehicle in enumerate(transitions.vehicles):
             rows = np.flatnonzero(transitions.vehicle == index)
-            if vehicle not in self.sent or not len(rows):
-                continue
-            time_s, command = self.sent[vehicle]
-            period_s = transitions.robot.period_s
-            start_s = transitions.time_s[rows] - late_s
-            ends = [(start_s, start_s + transitions.duration_s[rows])]
-            ends += [(start_s - place * period_s, start_s - (place - 1) * period_s) for place in range(1, places)]
-            for known, (begin_s, end_s) in zip(found, ends, strict=True):
-                edges = np.column_stack([begin_s, end_s]).ravel()
-                mean = mean_held(time_s, command, edges, self.longest_hold_s)[::2]
-                known[rows] = np.where(np.isfinite(mean), mean, known[rows])
+            start_s, period_s = transitions.time_s[rows] - late_s, transitions.robot.period_s
+            for place, known in enumerate(found):
+                lasted_s = transitions.duration_s[rows] if place == 0 else period_s
+                known[rows] = self.in_force(vehicle, start_s - place * period_s, lasted_s, known[rows])
         return found
+
+    def in_force(
+        self, vehicle: str, start_s: np.ndarray, lasted_s: np.ndarray | float, recorded: np.ndarray
+    ) -> np.ndarray:
+        """Return a vehicle's mean commands (K, m) over spans that begin at `start_s` (K,); `recorded` where unknown."""
+        if vehicle not in self.sent or not len(start_s):
+            return recorded
+        edges = np.column_stack([start_s, start_s + lasted_s]).ravel()
+        mean = mean_held(*self.sent[vehicle], edges, self.longest_hold_s)[::2]
+        return np.where(np.isfinite(mean), mean, recorded)
+
+    def acting_late(self, track: Track, late_s: float) -> Track:
+        """Return a track with the commands that are in force in its periods, where each acts `late_s` late."""
+        period_s = self.transitions.robot.period_s
+        command = self.in_force(track.vehicle, track.time_s - late_s, period_s, track.command)
+        return replace(track, command=np.where(np.isfinite(track.command), command, np.nan))
 
 
 @dataclass(frozen=True)
