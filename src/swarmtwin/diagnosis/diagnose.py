@@ -162,7 +162,7 @@ def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> flo
 
 
 def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:
-    """Return the errors of an extended simulation; delays act to the moment where it is known when commands were sent."""
+    """Return an extended simulation's errors; delays act to the moment where it is known when commands were sent."""
     late = [mechanism for mechanism in extended.mechanisms if mechanism.latency_s() > 0]
     if not session.sent or not late or extended.residual:
         return Errors.of(extended, scored, tracks)
