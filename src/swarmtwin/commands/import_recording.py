@@ -11,8 +11,8 @@ from rich.table import Table
 from swarmtwin.files import new_folder
 from swarmtwin.recordings.importer import importer_config
 from swarmtwin.recordings.reading import read_recording
-from swarmtwin.recordings.recording import Recording
-from swarmtwin.recordings.sent_commands import SENT_FILE, write_sent_commands
+from swarmtwin.recordings.recording import SENT_FILE, Recording
+from swarmtwin.recordings.sent_commands import write_sent_commands
 from swarmtwin.recordings.writing import FileFormat, write_recording
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.transitions import Counts, Transitions, from_recording

@@ -19,8 +19,7 @@ from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
-from swarmtwin.recordings.recording import Header, Recording, Track, fault
-from swarmtwin.recordings.sent_commands import SENT_FILE, read_sent_commands
+from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
 from swarmtwin.recordings.tables import parse_run
 from swarmtwin.recordings.tracks import tracks_of
 from swarmtwin.robot import Robot
@@ -67,7 +66,7 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
     if not tracks:
         raise fault(folder / RUNS_FOLDER, "no run holds a complete row", "record the runs again")
     _log_oddities(folder, tracks, dropped, tuple(unread))
-    sent = read_sent_commands(folder / SENT_FILE, robot) if (folder / SENT_FILE).exists() else None
+    sent = _sent_commands(folder / SENT_FILE, robot)
     recording = Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest(), sent=sent)
     try:
         warnings = judge(recording, replace(recording, tracks=tuple(in_degrees)) if in_degrees else None)
@@ -81,6 +80,14 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
         logger.info("%s: %d runs, taken as %d blocks", folder, len(recording.runs), len(cut.runs))
         recording = cut
     return replace(recording, warnings=warnings)
+
+
+def _sent_commands(file: Path, robot: Robot) -> Sent | None:
+    if not file.exists():
+        return None
+    from swarmtwin.recordings.sent_commands import read_sent_commands  # pandas, only for those who have such a file
+
+    return read_sent_commands(file, robot)
 
 
 def look_into(folder: Path, robot: Robot) -> tuple[Header, list[Path]]:

@@ -18,6 +18,9 @@ Check = Literal["clock", "commands", "still", "arena", "scale", "frame"]
 Sent = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """Commands as they were sent, by vehicle: times (K,) in s, strictly increasing, and commands (K, m)."""
 
+SENT_FILE = "commands.parquet"
+"""Beside a recording's header: every command at the time it was sent, where commands and poses are not synchronous."""
+
 
 class Header(StrictModel):
     """The content of `recording.yaml`.

@@ -10,9 +10,6 @@ from swarmtwin.files import check_regular
 from swarmtwin.recordings.recording import Sent, fault
 from swarmtwin.robot import Robot
 
-SENT_FILE = "commands.parquet"
-"""Beside a recording's header: every command at the time it was sent, where commands and poses are not synchronous."""
-
 
 def read_sent_commands(path: Path, robot: Robot) -> Sent:
     """Read a CSV or Parquet file with the columns time_s, vehicle and those of the robot's command; no others are read.
