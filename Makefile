@@ -94,8 +94,7 @@ kill: setup  # commands that die at random moments, and are called again; likewi
 
 test: setup
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/pytest -n 2 --dist worksteal -m "not benchmark_figures" tests
-	$(BIN)/pytest --nbmake notebooks
+	$(BIN)/pytest -n 2 --dist worksteal -m "not benchmark_figures" --nbmake tests notebooks
 
 benchmark: setup
 	$(BIN)/pytest -m benchmark_figures -s tests/benchmarks

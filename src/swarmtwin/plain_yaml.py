@@ -26,14 +26,18 @@ class Bounds:
     nodes: int = 1_000_000
 
 
-class _UniqueKeys(yaml.SafeLoader):
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C, ten times as quick, where PyYAML has it
+
+
+class _UniqueKeys(_SafeLoader):
     """Plain data in which no key stands twice: the last one would hold, and nobody would know."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise yaml.MarkedYAMLError(problem=f"{twice[0]!r} stands twice", problem_mark=node.start_mark)
-        return super().construct_mapping(node, deep)
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 def read_yaml(path: Path, bounds: Bounds | None = None) -> Any:
@@ -61,7 +65,7 @@ def _check_bounds(content: bytes, path: Path, bounds: Bounds) -> None:
     sizes: dict[str, int] = {}  # nodes behind each anchor
     open_collections: list[tuple[str | None, int]] = []  # anchor, and nodes up to there
     nodes = 0
-    for event in yaml.parse(content, Loader=yaml.SafeLoader):
+    for event in yaml.parse(content, Loader=_SafeLoader):
         if isinstance(event, yaml.AliasEvent):
             nodes += sizes.get(event.anchor or "", 0)
         elif isinstance(event, yaml.ScalarEvent):

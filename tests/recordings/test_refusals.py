@@ -42,8 +42,7 @@ def test_no_header(mgr, folder):
 def test_header_is_not_yaml(mgr, folder):
     (folder / "recording.yaml").write_text("robot: mgr\nperiod_s: [0.5\n")
     assert refusal(folder, mgr) == (
-        f"{folder}/recording.yaml, row 3: not valid YAML (expected ',' or ']', but got '<stream end>'): "
-        "correct the file"
+        f"{folder}/recording.yaml, row 3: not valid YAML (did not find expected ',' or ']'): correct the file"
     )
 
 

@@ -2,7 +2,7 @@
 
 from copy import copy
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import cv2
@@ -56,6 +56,7 @@ class Colours:
 COLOURS = Colours()
 
 
+@lru_cache(maxsize=1024)
 def rgb(colour: str, share: float = 1.0, background: str = COLOURS.ground) -> tuple[int, ...]:
     """Return red, green and blue, 0 to 255, of a share of a colour on a background, both `#rrggbb`."""
     over, under = (bytes.fromhex(name[1:]) for name in (colour, background))
@@ -117,6 +118,14 @@ class Panel:
         """Draw a line through points (n, 2)."""
         points = [self._fixed_point(points_mm)]
         cv2.polylines(self.image, points, False, rgb(colour, share), width_px, cv2.LINE_AA, self.subpixel_bits)
+
+    def fading_line(self, points_mm: np.ndarray, colour: str, shares: np.ndarray, width_px: int = 1) -> None:
+        """Draw a line through points (n, 2), each of its n − 1 pieces with a share of its own."""
+        points = self._fixed_point(points_mm)
+        for index, share in enumerate(shares.tolist()):
+            shown = rgb(colour, share)
+            piece = [points[index : index + 2]]
+            cv2.polylines(self.image, piece, False, shown, width_px, cv2.LINE_AA, self.subpixel_bits)
 
     def circle(
         self, centre_mm: np.ndarray, radius_mm: float, colour: str, share: float = 1.0, width_px: int = cv2.FILLED

@@ -69,9 +69,8 @@ def _draw_trail(panel: Panel, frame: Frame, vehicle: int, shown_s: float = 30.0)
     """Draw where a vehicle came from; what is long ago fades."""
     rows = int(shown_s / frame.robot.period_s) + 1
     trail = frame.path[-rows:, vehicle, :2]
-    for index in range(len(trail) - 1):
-        age = len(trail) - 2 - index
-        panel.line(trail[index : index + 2], COLOURS.vehicle(vehicle), 0.15 + 0.5 * (1 - age / rows), width_px=3)
+    age = np.arange(len(trail) - 2, -1, -1)
+    panel.fading_line(trail, COLOURS.vehicle(vehicle), 0.15 + 0.5 * (1 - age / rows), width_px=3)
 
 
 def _draw_vehicle(panel: Panel, frame: Frame, vehicle: int) -> None:
