@@ -30,7 +30,7 @@ def torch_device(device: Device) -> torch.device:
 def one_thread() -> Iterator[None]:
     """Let torch and numpy compute on one thread: the same numbers every time, and quicker on what is as small as here.
 
-    Threads that wait for one another in OpenBLAS can make an eigendecomposition of a few hundred columns 30 times slower.
+    Threads that wait for one another in OpenBLAS can make eigenvalues of a few hundred columns take 30 times as long.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
