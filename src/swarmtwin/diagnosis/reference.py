@@ -85,9 +85,14 @@ class Reference:
             settings: of every diagnosis with it; None: the defaults.
 
         Raises:
-            UserError: too few runs or transitions, or constant commands.
+            UserError: too few runs or transitions, constant commands, or a robot with momentum and no `parts`.
         """
         settings = settings or DiagnosisSettings()
+        if parts is None and "velocity" in transitions.robot.situation:
+            raise UserError(
+                f"the situation of robot {transitions.robot.name!r} has velocity, and a diagnosis cannot look at it: "
+                "what a cause does is in measured velocities already; add situation=[command,previous_command]"
+            )
         known = parts or tuple(
             part for part in KNOWN_INPUTS if part in (*transitions.robot.situation, "previous_command")
         )

@@ -69,6 +69,7 @@ class Moment:
         given: (N, m) the commands that the actuators are given in this period, and `given_before` in the one before:
             None until the controller has passed them on, in the hooks of link and controller.
         given_before: see `given`.
+        velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, the mean of the period before; None: not known.
     """
 
     robot: Robot
@@ -79,6 +80,7 @@ class Moment:
     neighbours: Tensor
     given: Tensor | None = None
     given_before: Tensor | None = None
+    velocity: Tensor | None = None
 
     def situation(self, command: Tensor, previous_command: Tensor, earlier_command: Tensor) -> Situation:
         """Return it with the commands (N, m) of this period and of the two before: what a dynamics model looks at."""
@@ -87,6 +89,7 @@ class Moment:
             previous_command=previous_command,
             earlier_command=earlier_command,
             pose=self.pose,
+            velocity=self.velocity,
             elapsed_s=self.elapsed_s,
             duration_s=self.duration_s,
             neighbours=self.neighbours,

@@ -5,6 +5,7 @@ simulation: equation (1) of the paper, pose and command in, the next pose out.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -45,6 +46,11 @@ class Simulation(nn.Module):
         residual: ResidualModel | None = None,
         motion_noise: MotionNoise | None = None,
     ) -> None:
+        """Put a simulation together.
+
+        Raises:
+            UserError: the dynamics model looks at velocity, and is to be extended.
+        """
         super().__init__()
         self.robot = dynamics.robot
         self.dynamics = dynamics
@@ -57,6 +63,11 @@ class Simulation(nn.Module):
             needed |= set(residual.inputs)
         self.inputs: tuple[SituationPart, ...] = tuple(part for part in ALL_PARTS if part in needed)
         self.command_at_rest = torch.from_numpy(self.robot.command_at_rest)
+        if self.is_extended and "velocity" in dynamics.inputs:
+            raise UserError(
+                f"the dynamics model of {self.robot.name!r} looks at velocity: mechanisms act on steady motion, and it "
+                "has none; extend a model of command and previous command, situation=[command,previous_command]"
+            )
 
     @property
     def is_extended(self) -> bool:
@@ -82,13 +93,13 @@ class Simulation(nn.Module):
                 elapsed_s = (drawn * self.conditions.session_s).expand(shape)
         elapsed_s = torch.as_tensor(elapsed_s, dtype=torch.float64).expand(shape).clone()
         unknown = torch.full((*shape, len(self.robot.command)), torch.nan, dtype=torch.float64, device=pose.device)
-        state = State(pose, elapsed_s, unknown, unknown)
+        state = State(pose, elapsed_s, unknown, unknown, torch.zeros_like(pose))
         if not self.mechanisms:
             return state
         at_rest = self.command_at_rest.expand(pose.shape[0] * pose.shape[1], -1)
         twists = self._twists(self._moment(state, None, None), [at_rest])
         memory = remembered_after_long(self.mechanisms, twists, 0)
-        return State(pose, elapsed_s, unknown, unknown, _unflattened(memory, shape))
+        return replace(state, memory=_unflattened(memory, shape))
 
     def step(
         self,
@@ -126,11 +137,13 @@ class Simulation(nn.Module):
                 f"the simulation of {self.robot.name!r} predicts a displacement that is not finite: train its dynamics "
                 "model anew"
             )
+        velocity = log_map(displacement) / moment.duration_s[:, None]
         return State(
             pose=compose(state.pose, displacement.reshape(*shape, 3)),
             elapsed_s=state.elapsed_s + moment.duration_s.reshape(shape),
             previous_command=command,
             earlier_command=state.previous_command,
+            velocity=velocity.reshape(*shape, 3),
             memory=_unflattened(memory, shape),
         )
 
@@ -204,9 +217,13 @@ class Simulation(nn.Module):
         elif neighbours is None:
             neighbours = state.pose.new_zeros(*state.pose.shape[:2], 0, 3)
         return Moment(
-            self.robot,
-            self.conditions,
-            *(_flattened(values) for values in (state.pose, state.elapsed_s, duration_s, neighbours)),
+            robot=self.robot,
+            conditions=self.conditions,
+            pose=_flattened(state.pose),
+            elapsed_s=_flattened(state.elapsed_s),
+            duration_s=_flattened(duration_s),
+            neighbours=_flattened(neighbours),
+            velocity=_flattened(state.velocity),
         )
 
     def _measured_moment(self, situation: Situation) -> tuple[Moment, Tensor]:
