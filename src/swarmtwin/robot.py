@@ -18,7 +18,7 @@ from swarmtwin.strict_model import Positive, StrictModel
 
 POSE_COLUMNS = ("x_mm", "y_mm", "heading_rad")
 DISPLACEMENT_COLUMNS = ("forward_mm", "left_mm", "turn_rad")
-VELOCITY_COLUMNS = ("forward_mm_s", "left_mm_s", "turn_rad_s")
+VELOCITY_COLUMNS = ("velocity_forward_mm_s", "velocity_left_mm_s", "velocity_turn_rad_s")
 RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
 
 SituationPart = Literal[

@@ -1,0 +1,73 @@
+"""A car with momentum that is known exactly: integrated in small time steps, and seen by a camera with noise."""
+
+import numpy as np
+
+from swarmtwin.geometry import wrap_angle
+from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.robot import Arena
+
+PLANTED = {
+    "wheelbase_mm": 260.0,
+    "marker_ahead_mm": 110.0,
+    "speed_gain_mm_s_per_unit": 2000.0,
+    "dead_band": 0.08,
+    "curvature": -0.15,
+    "steering_gain": 1.1,
+    "trim_deg": 2.0,
+    "time_constant_s": 0.4,
+}
+ARENA = Arena(x=(-8000, 8000), y=(-8000, 8000))
+
+
+def asked_mm_s(throttle):
+    """The speed that the throttle asks for."""
+    effort = np.maximum(np.abs(throttle) - PLANTED["dead_band"], 0.0)
+    return PLANTED["speed_gain_mm_s_per_unit"] * np.sign(throttle) * effort * (1 + PLANTED["curvature"] * effort)
+
+
+def driven(command, period_s=0.1, steps=100):
+    """Poses (T + 1, 3) of the marker while commands (T, 2) throttle, steering_deg are held, from rest at the origin.
+
+    Heun's method, in so many small steps a period: the rear axle rolls along the heading, and the speed follows.
+    """
+    dt_s = period_s / steps
+    rear, speed_mm_s = np.zeros(3), 0.0
+    poses = [rear]
+    for throttle, steering_deg in command:
+        asked = asked_mm_s(throttle)
+        turn_a_mm = np.tan(np.radians(PLANTED["steering_gain"] * (steering_deg + PLANTED["trim_deg"])))
+        turn_a_mm /= PLANTED["wheelbase_mm"]
+        for _ in range(steps):
+            slope = (asked - speed_mm_s) / PLANTED["time_constant_s"]
+            middle_mm_s = speed_mm_s + slope * dt_s / 2
+            heading = rear[2] + middle_mm_s * turn_a_mm * dt_s / 2
+            rear = rear + dt_s * middle_mm_s * np.array([np.cos(heading), np.sin(heading), turn_a_mm])
+            speed_mm_s += dt_s * (asked - middle_mm_s) / PLANTED["time_constant_s"]
+        poses.append(rear)
+    rear = np.array(poses)
+    ahead = PLANTED["marker_ahead_mm"] * np.column_stack([np.cos(rear[:, 2]), np.sin(rear[:, 2])])
+    return np.column_stack([rear[:, :2] + ahead, wrap_angle(rear[:, 2])])
+
+
+def commands(robot, steps, rng):
+    """Commands (steps, 2), each held for some periods, about as a person drives: mostly ahead, now and then brakes."""
+    rows = []
+    while len(rows) < steps:
+        throttle = rng.choice([rng.uniform(0.2, 1.0), rng.uniform(-0.6, 0.2)], p=[0.75, 0.25])
+        steering = rng.uniform(robot.command_low[1], robot.command_high[1])
+        rows += [np.round([throttle, steering], 3)] * int(rng.integers(1, 8))
+    return np.array(rows[:steps])
+
+
+def recording(robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car"):
+    """Runs that begin at rest; noise of the camera, a standard deviation each in mm, mm, rad."""
+    rng, tracks = np.random.default_rng(seed), []
+    for run in range(runs):
+        command = commands(robot, steps, rng)
+        pose = driven(command, robot.period_s) + rng.normal(0, 1, (steps + 1, 3)) * noise
+        pose[:, 2] = wrap_angle(pose[:, 2])
+        time_s = 20.0 * run + robot.period_s * np.arange(steps + 1)
+        command = np.vstack([command, np.full((1, 2), np.nan)])
+        tracks.append(Track(f"run-{run:03}", "1", time_s.round(3), command, pose))
+    header = Header(robot=robot.name, period_s=robot.period_s, arena_mm=ARENA, source="a car that is known exactly")
+    return Recording(robot, header, tuple(tracks), digest=name)
