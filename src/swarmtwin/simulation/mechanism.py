@@ -146,6 +146,11 @@ class Mechanism(StrictModel, ABC):
         return True
 
     @classmethod
+    def forms(cls) -> tuple[type["Mechanism"], ...]:
+        """Return the physical forms that this cause may take, all of its name: which one it is, a session shows."""
+        return (cls,)
+
+    @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Return its parameters for a robot in a session, by name."""
         return cls.parameters
@@ -184,7 +189,7 @@ class Mechanism(StrictModel, ABC):
 
     def values(self) -> dict[str, float]:
         """Return its parameters' values by name."""
-        return {name: value for name, value in self if name != "name" and value is not None}
+        return {name: value for name, value in self if isinstance(value, float | int)}
 
     def reported(self) -> dict[str, float]:
         """Return its parameters as a diagnosis reports them; the same as `values` unless said otherwise."""
