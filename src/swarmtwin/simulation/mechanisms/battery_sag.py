@@ -34,7 +34,7 @@ class Config(Mechanism):
     @classmethod
     def forms(cls) -> tuple[type[Mechanism], ...]:
         """Return that of the speed and that of the effort."""
-        return Config, OfEffort
+        return Config, Config.with_default("acts_on", "effort")
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
         """Weaken the efforts, if it acts on them."""
@@ -49,9 +49,3 @@ class Config(Mechanism):
     def _left(self, moment: Moment) -> Tensor:
         left: Tensor = 1.0 - self.loss * moment.progress**self.shape
         return left[:, None]
-
-
-class OfEffort(Config):
-    """The form that acts on the effort."""
-
-    acts_on: Literal["speed", "effort"] = "effort"

@@ -31,7 +31,7 @@ class Config(Mechanism):
     @classmethod
     def forms(cls) -> tuple[type[Mechanism], ...]:
         """Return that of the speed and that of the effort."""
-        return Config, OfEffort
+        return Config, Config.with_default("acts_on", "effort")
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
         """Multiply the efforts, if it acts on them."""
@@ -42,9 +42,3 @@ class Config(Mechanism):
     def supply_gain(self, moment: Moment) -> Tensor | None:
         """Return the gain of all actuators, if it acts on their speed."""
         return torch.full((1, 1), self.gain, dtype=torch.float64) if self.acts_on == "speed" else None
-
-
-class OfEffort(Config):
-    """The form that acts on the effort."""
-
-    acts_on: Literal["speed", "effort"] = "effort"
