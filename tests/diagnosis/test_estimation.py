@@ -6,7 +6,7 @@ import torch
 from exact_base import ExactBase, as_simulated, known_noise, session_of
 from scipy import stats
 
-from exact_model import MM_PER_PWM, TRACK_MM
+from exact_model import MM_PER_PWM, TRACK_MM, conditions_of
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.settings import DiagnosisSettings
@@ -90,6 +90,48 @@ def test_a_planted_parameter_is_recovered_within_its_standard_errors(robots, nam
     assert (error < LARGEST_ERROR[name]).all(), error
     assert (abs(found.values - wanted) < 3 * error).all(), (found.values, wanted, error)
     assert estimate(model, found.mechanisms).evidence > estimate(model, []).evidence + 100
+
+
+class Levelling(ExactBase):
+    """Wheels whose speeds level off, as a screw's thrust does: three quarters of the straight line at full effort."""
+
+    def twist(self, command):
+        full = torch.as_tensor(self.robot.command_high)
+        return super().twist(full * torch.tanh(command / full))
+
+
+def weakened_by_a_fifth(moment):
+    return 0.8
+
+
+def weakened_with_time(moment):
+    robot, run = moment.base.robot, torch.arange(len(moment.command))
+    elapsed_s = (run * 40 + moment.step) * robot.period_s  # as `session_of` writes them
+    return (1 - 0.5 * conditions_of(robot).progress(elapsed_s))[:, None]
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "value", "begun"),
+    [
+        ("gain_change", weakened_by_a_fifth, 0.8, {"gain": 1.0}),
+        ("battery_sag", weakened_with_time, 0.5, {"loss": 0.2, "shape": 1.5}),
+    ],
+)
+@pytest.mark.parametrize("on_effort", [False, True])
+def test_a_session_shows_whether_the_speed_or_the_effort_is_weaker(robots, name, share, value, begun, on_effort):
+    base = Levelling(robots["mgr"])
+
+    def moved(moment):
+        if on_effort:
+            return exp_map(base.twist(moment.command * share(moment)))
+        return exp_map(moment.way * share(moment))
+
+    model = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(24), moved))
+    on_speed, on_efforts = (estimate(model, [form.at(begun)]) for form in mechanism_class(name).forms())
+    assert (on_speed.mechanisms[0].acts_on, on_efforts.mechanisms[0].acts_on) == ("speed", "effort")
+    right, wrong = (on_efforts, on_speed) if on_effort else (on_speed, on_efforts)
+    assert right.evidence > wrong.evidence + 10
+    assert abs(right.values[0] - value) < 3 * np.sqrt(right.covariance[0, 0]) < 0.15
 
 
 def test_a_search_ends_at_the_same_likelihood_wherever_it_begins(robots):

@@ -104,6 +104,21 @@ def test_every_mechanism_comes_back(robots, tmp_path):
     assert {one.name for one in back.mechanisms} == set(mechanism_names())
 
 
+@pytest.mark.parametrize("values", [{"gain_change": {"gain": 0.7}}, {"battery_sag": {"loss": 0.3, "shape": 1.5}}])
+def test_the_form_of_a_mechanism_comes_back(robots, tmp_path, values):
+    ((name, own),) = values.items()
+    robot = robots["mur"]
+    situation = situation_of(robot, np.random.default_rng(3))
+    predicted = []
+    for acts_on in ("speed", "effort"):
+        model = learned(robot, {name: {**own, "acts_on": acts_on}})
+        save_extended(tmp_path, model, {})
+        back = load_simulation(tmp_path)
+        predicted.append(back.predict(situation))
+        assert torch.equal(predicted[-1], model.predict(situation))
+    assert (predicted[0] - predicted[1]).abs().max() > 0.5
+
+
 def cut(folder):
     weights = folder / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-100])
