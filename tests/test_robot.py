@@ -5,6 +5,7 @@ import pytest
 import yaml
 
 from swarmtwin.errors import UserError
+from swarmtwin.kinematics import Actuators
 from swarmtwin.robot import Robot
 
 MGR = Path(__file__).resolve().parents[1] / "conf" / "robot" / "mgr.yaml"
@@ -41,6 +42,32 @@ def test_a_robot_of_ones_own_is_one_file(tmp_path):
     link = {"command_topic": "boats/{vehicle}", "fields": fields}
     robot = Robot.load(changed(tmp_path, name="mine", command=command, link=link))
     assert robot.command_columns == ("port", "starboard")
+
+
+def test_a_robot_without_kinematics_works_and_says_what_is_missing_where_they_are_needed(tmp_path):
+    for stated in ({"kinematics": None}, {}):
+        content = yaml.safe_load(MGR.read_text())
+        del content["kinematics"]
+        path = tmp_path / "mine.yaml"
+        path.write_text(yaml.safe_dump({**content, **stated, "actuators": None}))
+        robot = Robot.load(path)
+        assert robot.kinematics is None
+        assert robot.actuation == Actuators(kind="unknown")
+        with pytest.raises(UserError) as error:
+            robot.kinematic_equations()
+        assert str(error.value) == (
+            "robot 'mgr' states no kinematics, and this needs some: name one of bicycle, differential_drive, tail_fin, "
+            "unicycle in conf/robot/mgr.yaml"
+        )
+    stated = Robot.load(changed(tmp_path, kinematics=None, actuators={"kind": "wheel", "effort": ["left", "right"]}))
+    assert stated.actuation.effort == ("left", "right")
+
+
+def test_a_car_is_driven_by_its_first_column_and_steered_by_its_second(robots):
+    unstated = robots["car"].model_copy(update={"actuators": None})
+    assert unstated.actuation == Actuators(kind="wheel", effort=("throttle",), steering="steering_deg")
+    assert robots["car"].actuation == unstated.actuation
+    assert robots["car"].situation == ("command", "velocity")
 
 
 @pytest.mark.parametrize(
