@@ -1,7 +1,10 @@
 """A car with momentum that is known exactly: integrated in small time steps, and seen by a camera with noise."""
 
 import numpy as np
+import torch
 
+from swarmtwin.dynamics.models.kinematic import Config as Kinematic
+from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.recordings.recording import Header, Recording, Track
 from swarmtwin.robot import Arena
@@ -19,33 +22,45 @@ PLANTED = {
 ARENA = Arena(x=(-8000, 8000), y=(-8000, 8000))
 
 
-def asked_mm_s(throttle):
+def exact_dynamics(robot):
+    """The bicycle with the values of the car, which looks at command, previous command and velocity."""
+    dynamics = NetworkDynamics(robot, Kinematic(situation=None))
+    for name, value in PLANTED.items():
+        parameter = dynamics.network.parameters_by_name[name]
+        free = value / parameter.size if parameter.signed else np.log(value / parameter.size)
+        torch.nn.init.constant_(dynamics.network.free[name], free)
+    return dynamics.eval()
+
+
+def asked_mm_s(throttle, planted=PLANTED):
     """The speed that the throttle asks for."""
-    effort = np.maximum(np.abs(throttle) - PLANTED["dead_band"], 0.0)
-    return PLANTED["speed_gain_mm_s_per_unit"] * np.sign(throttle) * effort * (1 + PLANTED["curvature"] * effort)
+    effort = np.maximum(np.abs(throttle) - planted["dead_band"], 0.0)
+    return planted["speed_gain_mm_s_per_unit"] * np.sign(throttle) * effort * (1 + planted["curvature"] * effort)
 
 
-def driven(command, period_s=0.1, steps=100):
+def driven(command, period_s=0.1, steps=100, late_s=0.0, planted=PLANTED):
     """Poses (T + 1, 3) of the marker while commands (T, 2) throttle, steering_deg are held, from rest at the origin.
 
-    Heun's method, in so many small steps a period: the rear axle rolls along the heading, and the speed follows.
+    Heun's method, in so many small steps a period: the rear axle rolls along the heading, and the speed follows. With
+    `late_s` each command acts so much later; before the first, nothing is asked for.
     """
     dt_s = period_s / steps
     rear, speed_mm_s = np.zeros(3), 0.0
     poses = [rear]
-    for throttle, steering_deg in command:
-        asked = asked_mm_s(throttle)
-        turn_a_mm = np.tan(np.radians(PLANTED["steering_gain"] * (steering_deg + PLANTED["trim_deg"])))
-        turn_a_mm /= PLANTED["wheelbase_mm"]
-        for _ in range(steps):
-            slope = (asked - speed_mm_s) / PLANTED["time_constant_s"]
-            middle_mm_s = speed_mm_s + slope * dt_s / 2
-            heading = rear[2] + middle_mm_s * turn_a_mm * dt_s / 2
-            rear = rear + dt_s * middle_mm_s * np.array([np.cos(heading), np.sin(heading), turn_a_mm])
-            speed_mm_s += dt_s * (asked - middle_mm_s) / PLANTED["time_constant_s"]
-        poses.append(rear)
+    late = round(late_s / dt_s)
+    acting = np.concatenate([np.zeros((late, 2)), np.repeat(command, steps, axis=0)])[: len(command) * steps]
+    turns_a_mm = np.tan(np.radians(planted["steering_gain"] * (acting[:, 1] + planted["trim_deg"])))
+    turns_a_mm /= planted["wheelbase_mm"]
+    for step, (asked, turn_a_mm) in enumerate(zip(asked_mm_s(acting[:, 0], planted), turns_a_mm, strict=True), 1):
+        slope = (asked - speed_mm_s) / planted["time_constant_s"]
+        middle_mm_s = speed_mm_s + slope * dt_s / 2
+        heading = rear[2] + middle_mm_s * turn_a_mm * dt_s / 2
+        rear = rear + dt_s * middle_mm_s * np.array([np.cos(heading), np.sin(heading), turn_a_mm])
+        speed_mm_s += dt_s * (asked - middle_mm_s) / planted["time_constant_s"]
+        if step % steps == 0:
+            poses.append(rear)
     rear = np.array(poses)
-    ahead = PLANTED["marker_ahead_mm"] * np.column_stack([np.cos(rear[:, 2]), np.sin(rear[:, 2])])
+    ahead = planted["marker_ahead_mm"] * np.column_stack([np.cos(rear[:, 2]), np.sin(rear[:, 2])])
     return np.column_stack([rear[:, :2] + ahead, wrap_angle(rear[:, 2])])
 
 
@@ -59,12 +74,18 @@ def commands(robot, steps, rng):
     return np.array(rows[:steps])
 
 
-def recording(robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car"):
-    """Runs that begin at rest; noise of the camera, a standard deviation each in mm, mm, rad."""
+def recording(robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car", late_s=0.0, **changed):
+    """Runs that begin at rest; noise of the camera, a standard deviation each in mm, mm, rad.
+
+    With `changed` values the car is another one than the planted one.
+    """
+    planted = {**PLANTED, **changed}
     rng, tracks = np.random.default_rng(seed), []
     for run in range(runs):
         command = commands(robot, steps, rng)
-        pose = driven(command, robot.period_s) + rng.normal(0, 1, (steps + 1, 3)) * noise
+        pose = (
+            driven(command, robot.period_s, late_s=late_s, planted=planted) + rng.normal(0, 1, (steps + 1, 3)) * noise
+        )
         pose[:, 2] = wrap_angle(pose[:, 2])
         time_s = 20.0 * run + robot.period_s * np.arange(steps + 1)
         command = np.vstack([command, np.full((1, 2), np.nan)])

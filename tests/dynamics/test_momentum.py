@@ -22,7 +22,6 @@ from swarmtwin.learning.situation import Situation
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.writing import write_recording
 from swarmtwin.simulation.best_prediction import best_prediction
-from swarmtwin.simulation.mechanism import mechanism
 from swarmtwin.simulation.open_loop import open_loop
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import Fractions, from_recording, split_by_run
@@ -48,12 +47,7 @@ def recorded(robots, tmp_path_factory):
 @pytest.fixture(scope="module")
 def planted(robots):
     """The bicycle with the values of the car."""
-    dynamics = NetworkDynamics(robots["car"], Kinematic(situation=None))
-    for name, value in car.PLANTED.items():
-        parameter = dynamics.network.parameters_by_name[name]
-        free = value / parameter.size if parameter.signed else np.log(value / parameter.size)
-        torch.nn.init.constant_(dynamics.network.free[name], free)
-    return dynamics.eval()
+    return car.exact_dynamics(robots["car"])
 
 
 def held_out_error_mm(recorded, *parts):
@@ -197,8 +191,3 @@ def test_a_world_that_is_restored_rolls_on(robots, planted):
     first.place(np.array([1]), np.zeros((1, 1, 3)))
     assert not first.state()["velocity"][1].any()
     assert first.state()["velocity"][0].any()
-
-
-def test_mechanisms_do_not_extend_what_has_momentum(planted):
-    with pytest.raises(UserError, match=r"^the dynamics model of 'car' looks at velocity: mechanisms act on steady"):
-        Simulation(planted, [mechanism({"name": "gain_change", "gain": 0.9}, "here")])

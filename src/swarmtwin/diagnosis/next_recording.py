@@ -106,17 +106,19 @@ def _driven(reference: Reference, conditions: SessionConditions, command: np.nda
     count = len(sent)
     previous = torch.cat([sent[:1], sent[:-1]])
     start = simulation.start(torch.cat([conditions.centre_mm, conditions.centre_mm.new_zeros(1)])[None, None])
-    poses, state = [], start
+    poses, velocities, state = [], [], start
     for step in range(count):
         if step % steps == 0:
             state = replace(start, previous_command=previous[step][None, None])
         poses.append(state.pose[0, 0])
+        velocities.append(state.velocity[0, 0])
         state = simulation.step(state, sent[step][None, None])
     return Situation(
         command=sent,
         previous_command=previous,
         earlier_command=torch.cat([previous[:1], previous[:-1]]),
         pose=torch.stack(poses),
+        velocity=torch.stack(velocities),
         elapsed_s=torch.arange(count).double() / count * conditions.session_s,
         duration_s=torch.full((count,), simulation.robot.period_s, dtype=torch.float64),
         neighbours=torch.zeros(count, 0, 3, dtype=torch.float64),

@@ -93,10 +93,7 @@ class SessionErrors:
     @cached_property
     def flexible(self) -> FlexibleResidual:
         """What errors may depend on."""
-        given = self.session.situation
-        assert given.previous_command is not None
-        steady = self.predictor.base_twist(given.command, given.command).numpy()
-        before = self.predictor.base_twist(given.previous_command, given.previous_command).numpy()
+        steady, before = (twist.numpy() for twist in self.predictor.steady_twists())
         return FlexibleResidual.of(self.session, steady, before, self.settings.flexible)
 
     @cached_property
