@@ -83,9 +83,8 @@ def recording(robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car"
     rng, tracks = np.random.default_rng(seed), []
     for run in range(runs):
         command = commands(robot, steps, rng)
-        pose = (
-            driven(command, robot.period_s, late_s=late_s, planted=planted) + rng.normal(0, 1, (steps + 1, 3)) * noise
-        )
+        pose = driven(command, robot.period_s, late_s=late_s, planted=planted)
+        pose = pose + rng.normal(0, 1, (steps + 1, 3)) * noise
         pose[:, 2] = wrap_angle(pose[:, 2])
         time_s = 20.0 * run + robot.period_s * np.arange(steps + 1)
         command = np.vstack([command, np.full((1, 2), np.nan)])

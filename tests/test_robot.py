@@ -25,12 +25,8 @@ def test_the_shipped_robots_are_those_of_the_design(robots):
         "create": [(0, 100), (-0.6, 0.6)],
         "car": [(-1, 1), (-25, 25)],
     }
-    assert {name: robot.period_s for name, robot in robots.items()} == {
-        "mgr": 0.5,
-        "mur": 0.8,
-        "create": 0.5,
-        "car": 0.1,
-    }
+    periods_s = {"mgr": 0.5, "mur": 0.8, "create": 0.5, "car": 0.1}
+    assert {name: robot.period_s for name, robot in robots.items()} == periods_s
     assert robots["mur"].command_columns == ("mean_angle_deg", "amplitude_deg", "frequency_rad_s")
 
 
@@ -113,9 +109,8 @@ def test_a_wrong_robot_file_is_one_clear_error(tmp_path, changes, message):
 
 
 def test_a_missing_robot_names_those_there_are():
-    with pytest.raises(
-        UserError, match=r"no robot file .*mgrr.yaml: did you mean 'mgr'\? known: car, create, mgr, mur"
-    ):
+    known = "known: car, create, mgr, mur"
+    with pytest.raises(UserError, match=rf"no robot file .*mgrr.yaml: did you mean 'mgr'\? {known}"):
         Robot.load(MGR.with_name("mgrr.yaml"))
 
 

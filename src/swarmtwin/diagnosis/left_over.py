@@ -136,6 +136,8 @@ def _motion_noise(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> 
     settings = model.settings.motion_noise
     log, error = model.motion_noise_log()
     usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
+    if model.has_momentum:
+        usual = max(usual, settings.usual_spread_with_momentum)
     narrow = float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_of_usual(model.motion)))
     odds = model.settings.search.prior / (1 - model.settings.search.prior)
     wide_log, narrow_log = (

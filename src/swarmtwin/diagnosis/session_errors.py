@@ -50,6 +50,7 @@ class SessionErrors:
         self.explained = tuple(explained)
         self.session, self.reference_noise, self.robot = session, noise, base.robot
         self.settings = settings or DiagnosisSettings()
+        self.has_momentum = "velocity" in base.inputs
         self.members: int = getattr(base, "members", 0)
         self.predictor = SessionPredictor(base, session.conditions, session.situation, session.follows, session.sent)
         self.simulated = self.predictor.twist(())
