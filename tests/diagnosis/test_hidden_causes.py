@@ -95,3 +95,14 @@ def test_what_the_catalogue_does_not_know_is_not_named(robots, references):
             right += result.verdict == "unexplained" and not result.causes
             said.append((session.about, result.verdict, [cause.name for cause in result.causes]))
     assert right >= fewest(len(said), 0.9), said
+
+
+def test_motion_that_is_more_random_and_nothing_else_is_named(robots, references):
+    """No error falls by it: held-out runs confirm it since they are likelier."""
+    effects = ({"name": "noise_change", "factor": 1.6},)
+    case = Case(family="formulas", kind="one", robot="mgr", names=["noise_change"], seed=13)
+    session = with_effects(case, usual(robots["mgr"], 45, 13), effects)
+    result = diagnose(references["mgr"], session.recording, SEED).result
+    assert [cause.name for cause in result.causes] == ["noise_change"], result.not_confirmed
+    factor = result.causes[0].parameters["factor"]
+    assert factor.low < 1.6 < factor.high
