@@ -47,6 +47,7 @@ def not_worse(result):
     return result.gain.position_mm.after <= 1.005 * result.gain.position_mm.before
 
 
+@pytest.mark.claims
 def test_clear_effects_are_named_first(robots, references):
     """Of clear effects, drawn from the whole catalogue, 85 % are claimed to be named first."""
     right, said = 0, []
@@ -73,6 +74,7 @@ def test_the_example_of_the_readme_is_answered_with_what_is_hidden(robots, refer
     assert causes["battery_sag"]["loss"] == pytest.approx(0.2, abs=0.015)
 
 
+@pytest.mark.claims
 def test_nothing_is_named_where_nothing_is_wrong(robots, references):
     """No session is accused, other units included: at the claimed level of 1 % one of six would be with 6 %."""
     for number, robot in enumerate(ROBOTS):
@@ -85,6 +87,7 @@ def test_nothing_is_named_where_nothing_is_wrong(robots, references):
             assert not_worse(result), session.about
 
 
+@pytest.mark.claims
 def test_what_the_catalogue_does_not_know_is_not_named(robots, references):
     """Of clear effects outside the catalogue, 90 % are claimed to be noticed and to get no name."""
     right, said = 0, []
