@@ -1,0 +1,252 @@
+"""An oracle that knows all but the cause: the stand-in's own equations, its unit, its noise, and its effects as physics.
+
+What it makes of a session is the limit of what anyone can: the diagnosis has a learned simulation in the equations'
+place, and mechanisms in that of the effects. It sees what a laboratory records, and no more of the session itself.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from swarmtwin.diagnosis.settings import SearchSettings
+from swarmtwin.standin.effect import Effect
+from swarmtwin.studies.hidden_effects.baselines.oracle_causes import (
+    SupposedCause,
+    jitter_nats,
+    prior_nats,
+    supposed_causes,
+)
+from swarmtwin.studies.hidden_effects.baselines.oracle_filter import Evaluation, Linearised, TrueLikelihood
+
+Values = dict[str, np.ndarray]
+"""Of each cause of a set its parameters (P,)."""
+
+
+@dataclass(frozen=True)
+class FittedSet:
+    """A set of causes at its likeliest parameters.
+
+    Attributes:
+        values: of each cause its parameters, in the order in which causes were found.
+        linear: how chance enters there.
+        here: the session there.
+        nats: log of the posterior probability, but for a constant of all sets.
+    """
+
+    values: Values
+    linear: Linearised
+    here: Evaluation
+    nats: float
+
+
+@dataclass(frozen=True)
+class Oracle:
+    """The search for the likeliest set of causes, by the true likelihood of each.
+
+    From no cause on, sets are enlarged by those causes that promise most beside them, and fitted; the likeliest of each
+    size are enlarged again. A set's parameters are integrated out by Laplace's method, over uniform priors.
+
+    Attributes:
+        likelihood: of the session.
+        settings: of the diagnosis' own search: the prior of a cause, and from what promise on it is fitted.
+        most_causes: in a set.
+        fitted_first: single causes that are fitted.
+        fitted_further: causes that are fitted beside a set.
+        kept_sets: of each size, that are enlarged.
+        hopeless_nats: a set so far behind the likeliest one is not enlarged.
+        rounds: of Fisher's scoring.
+    """
+
+    likelihood: TrueLikelihood
+    settings: SearchSettings = field(default_factory=SearchSettings)
+    most_causes: int = 3
+    fitted_first: int = 6
+    fitted_further: int = 4
+    kept_sets: int = 2
+    hopeless_nats: float = 15.0
+    rounds: int = 8
+
+    def named(self, outside: Sequence[Effect] = ()) -> tuple[str, ...]:
+        """Return the causes of the likeliest set, none where nothing is likeliest.
+
+        `outside` is what hides in the session and is in no catalogue, which the oracle supposes beside the catalogue's
+        sets, with its true parameters and the prior of one cause: where it is likelier than they are, nothing is named.
+        """
+        best = self.likeliest()
+        if outside and self._of_no_catalogue(outside) > best.nats:
+            return ()
+        session = self.likelihood.driven.session
+        unsteady = jitter_nats(
+            np.diff(self.likelihood.driven.time_s), session.robot.period_s, session.conditions.character.jitter
+        )
+        is_unsteady = unsteady + math.log(self.settings.prior / (1 - self.settings.prior)) > 0
+        return (*best.values, *(("timing_jitter",) if is_unsteady else ()))
+
+    @property
+    def causes(self) -> dict[str, SupposedCause]:
+        """All that may hide."""
+        session = self.likelihood.driven.session
+        return supposed_causes(session.robot, len(session.vehicles), session.conditions.character.delay_s)
+
+    def likeliest(self) -> FittedSet:
+        """Return the likeliest set of causes."""
+        nothing = self.fit({})
+        tried = {frozenset[str](): nothing}
+        largest = [nothing]
+        for size in range(1, self.most_causes + 1):
+            found: list[FittedSet] = []
+            for fitted in largest:
+                promising = self.promising(fitted)[: self.fitted_first if size == 1 else self.fitted_further]
+                for name, start in promising:
+                    names = frozenset({*fitted.values, name})
+                    if names not in tried:
+                        tried[names] = self.fit(fitted.values | {name: start})
+                        found.append(tried[names])
+            if not found:
+                break
+            best = max(one.nats for one in tried.values())
+            found.sort(key=lambda one: -one.nats)
+            largest = [one for one in found[: self.kept_sets] if one.nats > best - self.hopeless_nats]
+            if not largest:
+                break
+        return max(tried.values(), key=lambda one: one.nats)
+
+    def promising(self, fitted: FittedSet) -> list[tuple[str, np.ndarray]]:
+        """Return causes that would make the session likelier beside a set, the best first, each where it begins."""
+        promises: list[tuple[float, str, np.ndarray]] = []
+        for name, cause in self.causes.items():
+            if name in fitted.values:
+                continue
+            best, start = max(
+                (self._promise(fitted, cause, values) for values in cause.tried), key=lambda one: one[0]
+            )
+            if best > self.settings.least_promise:
+                promises.append((best, name, start))
+        promises.sort(key=lambda one: -one[0])
+        return [(name, start) for _, name, start in promises]
+
+    def _promise(self, fitted: FittedSet, cause: SupposedCause, values: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return the nats that a cause promises, and where to begin: at `values`, or scaled along them."""
+        there = self._evaluate(fitted.values | {cause.name: values}, fitted.linear)
+        direct = float(there.nats.sum() - fitted.here.nats.sum())
+        if cause.scaled is None:
+            return direct, values
+        change = there.surprise - fitted.here.surprise
+        size = float(change @ change) + 1e-12
+        share = -float(change @ fitted.here.surprise) / size
+        scaled = values.copy()
+        scaled[cause.scaled] = cause.nothing + share * (values[cause.scaled] - cause.nothing)
+        scaled = np.clip(scaled, cause.low, cause.high)
+        moved = (scaled[cause.scaled] - cause.nothing) / (values[cause.scaled] - cause.nothing)
+        expected = size * (share * moved - 0.5 * moved**2)
+        return (expected, scaled) if expected > direct else (direct, values)
+
+    def fit(self, start: Values) -> FittedSet:
+        """Return a set at its likeliest parameters, by Fisher's scoring from where it begins."""
+        causes = [self.causes[name] for name in start]
+        values = np.concatenate([np.empty(0), *start.values()])
+        linear = self._linearise(start)
+        here = self._evaluate(start, linear)
+        if not len(values):
+            return FittedSet(start, linear, here, self._nats(here, causes, np.zeros((0, 0))))
+        low, high, step = (np.concatenate([getattr(one, each) for one in causes]) for each in ("low", "high", "step"))
+        for number in range(self.rounds):
+            slope, information = self._slope(start, values, here, linear, high, step)
+            change = np.linalg.solve(information + np.diag(12.0 / (high - low) ** 2), slope)
+            best = None
+            for share in (1.0, 0.4, 0.1):
+                moved = np.clip(values + share * change, low, high)
+                there = self._evaluate(self._named(start, moved), linear)
+                if there.nats.sum() > here.nats.sum():
+                    best = moved, there
+                    break
+            gained = 0.0 if best is None else float(best[1].nats.sum() - here.nats.sum())
+            if best is not None:
+                values, here = best
+            if gained < 0.05:
+                break
+            if number in (0, 2):
+                linear = self._linearise(self._named(start, values))
+                here = self._evaluate(self._named(start, values), linear)
+        final = self._named(start, values)
+        linear = self._linearise(final)
+        here = self._evaluate(final, linear)
+        _, information = self._slope(start, values, here, linear, high, step)
+        return FittedSet(final, linear, here, self._nats(here, causes, information))
+
+    def _nats(self, here: Evaluation, causes: Sequence[SupposedCause], information: np.ndarray) -> float:
+        """Return the log of a set's posterior probability, by Laplace's method over uniform priors."""
+        offered = len(self.causes)
+        nats = float(here.nats.sum()) + prior_nats([one.name for one in causes], offered, self.settings.prior)
+        if not causes:
+            return nats
+        width = np.concatenate([one.high - one.low for one in causes])
+        _, log_size = np.linalg.slogdet(information * np.outer(width, width) + 12.0 * np.eye(len(width)))
+        return nats + 0.5 * (len(width) * math.log(2 * math.pi) - float(log_size))
+
+    def _slope(
+        self,
+        start: Values,
+        values: np.ndarray,
+        here: Evaluation,
+        linear: Linearised,
+        high: np.ndarray,
+        step: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return how the log-likelihood changes with each parameter (P,), and Fisher's information (P, P).
+
+        That of a chance of commands to be lost, which moves no expectation, is the sum of squares over the runs.
+        """
+        slopes, responses, log_sizes = [], [], []
+        for index, own in enumerate(step):
+            moved = values.copy()
+            signed = own if values[index] + own <= high[index] else -own
+            moved[index] += signed
+            there = self._evaluate(self._named(start, moved), linear)
+            slopes.append((there.nats - here.nats) / signed)
+            responses.append((there.surprise - here.surprise) / signed)
+            log_sizes.append((there.log_size - here.log_size).ravel() / signed)
+        response, log_size, slope = np.stack(responses), np.stack(log_sizes), np.stack(slopes)
+        information = response @ response.T + log_size @ log_size.T / 3
+        names = [name for name, own in start.items() for _ in own]
+        for index, name in enumerate(names):
+            if name == "command_loss":
+                information[index] = information[:, index] = 0.0
+                information[index, index] = float(slope[index] @ slope[index])
+        return slope.sum(axis=1), information
+
+    def _named(self, start: Values, values: np.ndarray) -> Values:
+        edges = np.cumsum([len(own) for own in start.values()])[:-1]
+        return dict(zip(start, np.split(values, edges), strict=True))
+
+    def _effects(self, values: Values) -> list[Effect]:
+        session, causes = self.likelihood.driven.session, self.causes
+        return [
+            effect
+            for name, own in values.items()
+            for effect in causes[name].effects(own, session.robot, len(session.vehicles))
+        ]
+
+    def _linearise(self, values: Values) -> Linearised:
+        return self.likelihood.linearise(self._effects(values))
+
+    def _evaluate(self, values: Values, linear: Linearised) -> Evaluation:
+        noise = float(values["noise_change"][0]) if "noise_change" in values else 1.0
+        return self.likelihood.evaluate(self._effects(values), self.likelihood.gains(linear, noise))
+
+    def _of_no_catalogue(self, outside: Sequence[Effect]) -> float:
+        likelihood = self.likelihood
+        here = likelihood.evaluate(outside, likelihood.gains(likelihood.linearise(outside)))
+        return float(here.nats.sum()) + prior_nats(("outside",), len(self.causes), self.settings.prior)
+
+
+def oracle_causes(truth: Any) -> tuple[str, ...]:
+    """Return what the oracle names in a session, an instance of `sessions.Truth`, whose formulas it knows."""
+    measured, twin = truth.measured, truth.twin
+    likelihood = TrueLikelihood.of(measured.footage, measured.recording)
+    likelihood = likelihood.with_tails_of(TrueLikelihood.of(twin.footage, twin.recording))
+    outside = measured.footage.session.effects if truth.case.kind == "outside" else ()
+    return Oracle(likelihood).named(outside)
