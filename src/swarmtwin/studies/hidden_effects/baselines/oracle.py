@@ -5,7 +5,7 @@ place, and mechanisms in that of the effects. It sees what a laboratory records,
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,8 +46,8 @@ class FittedSet:
 class Oracle:
     """The search for the likeliest set of causes, by the true likelihood of each.
 
-    From no cause on, sets are enlarged by those causes that promise most beside them, and fitted; the likeliest of each
-    size are enlarged again. A set's parameters are integrated out by Laplace's method, over uniform priors.
+    From no cause on, the likeliest set is changed: a cause less, or one of those more that promise most beside it. A
+    set's parameters are integrated out by Laplace's method, over uniform priors.
 
     Attributes:
         likelihood: of the session.
@@ -55,19 +55,21 @@ class Oracle:
         most_causes: in a set.
         fitted_first: single causes that are fitted.
         fitted_further: causes that are fitted beside a set.
-        kept_sets: of each size, that are enlarged.
-        hopeless_nats: a set so far behind the likeliest one is not enlarged.
+        most_changed: sets that are changed in turn.
+        hopeless_nats: a set so far behind the likeliest one is not changed.
         rounds: of Fisher's scoring.
+        hope: for more nats, over what a quadratic likelihood would gain twice, before a fit is given up.
     """
 
     likelihood: TrueLikelihood
     settings: SearchSettings = field(default_factory=SearchSettings)
-    most_causes: int = 3
+    most_causes: int = 4
     fitted_first: int = 6
     fitted_further: int = 4
-    kept_sets: int = 2
-    hopeless_nats: float = 15.0
+    most_changed: int = 8
+    hopeless_nats: float = 12.0
     rounds: int = 8
+    hope: float = 2.0
 
     def named(self, outside: Sequence[Effect] = ()) -> tuple[str, ...]:
         """Return the causes of the likeliest set, none where nothing is likeliest.
@@ -92,27 +94,38 @@ class Oracle:
         return supposed_causes(session.robot, len(session.vehicles), session.conditions.character.delay_s)
 
     def likeliest(self) -> FittedSet:
-        """Return the likeliest set of causes."""
+        """Return the likeliest set of causes: the likeliest that was not yet changed is, until none can be better.
+
+        What took the place of causes not yet found, more noise above all, is left out again.
+        """
         nothing = self.fit({})
-        tried = {frozenset[str](): nothing}
-        largest = [nothing]
-        for size in range(1, self.most_causes + 1):
-            found: list[FittedSet] = []
-            for fitted in largest:
-                promising = self.promising(fitted)[: self.fitted_first if size == 1 else self.fitted_further]
-                for name, start in promising:
-                    names = frozenset({*fitted.values, name})
-                    if names not in tried:
-                        tried[names] = self.fit(fitted.values | {name: start})
-                        found.append(tried[names])
-            if not found:
-                break
+        tried, changed = {frozenset[str](): nothing}, set[frozenset[str]]()
+        for _ in range(self.most_changed):
             best = max(one.nats for one in tried.values())
-            found.sort(key=lambda one: -one.nats)
-            largest = [one for one in found[: self.kept_sets] if one.nats > best - self.hopeless_nats]
-            if not largest:
+            left = [one for names, one in tried.items() if names not in changed and self._may_lead(one, best)]
+            if not left:
                 break
+            chosen = max(left, key=lambda one: one.nats)
+            changed.add(frozenset(chosen.values))
+            for start in self._changes(chosen):
+                if frozenset(start) not in tried:
+                    best = max(one.nats for one in tried.values())
+                    tried[frozenset(start)] = self.fit(start, best)
         return max(tried.values(), key=lambda one: one.nats)
+
+    def _may_lead(self, fitted: FittedSet, best: float) -> bool:
+        """Return whether a set is near enough to the likeliest one to be changed."""
+        return fitted.nats > best - self.hopeless_nats
+
+    def _changes(self, fitted: FittedSet) -> Iterator[Values]:
+        """Yield sets with a cause less, then with one more, where they begin."""
+        if len(fitted.values) > 1:
+            for name in fitted.values:
+                yield {each: values for each, values in fitted.values.items() if each != name}
+        if len(fitted.values) < self.most_causes:
+            most = self.fitted_further if fitted.values else self.fitted_first
+            for name, start in self.promising(fitted)[:most]:
+                yield fitted.values | {name: start}
 
     def promising(self, fitted: FittedSet) -> list[tuple[str, np.ndarray]]:
         """Return causes that would make the session likelier beside a set, the best first, each where it begins."""
@@ -144,8 +157,11 @@ class Oracle:
         expected = size * (share * moved - 0.5 * moved**2)
         return (expected, scaled) if expected > direct else (direct, values)
 
-    def fit(self, start: Values) -> FittedSet:
-        """Return a set at its likeliest parameters, by Fisher's scoring from where it begins."""
+    def fit(self, start: Values, best_nats: float = -math.inf) -> FittedSet:
+        """Return a set at its likeliest parameters, by Fisher's scoring from where it begins.
+
+        It ends early where another set's `best_nats` are out of reach.
+        """
         causes = [self.causes[name] for name in start]
         values = np.concatenate([np.empty(0), *start.values()])
         linear = self._linearise(start)
@@ -156,6 +172,9 @@ class Oracle:
         for number in range(self.rounds):
             slope, information = self._slope(start, values, here, linear, high, step)
             change = np.linalg.solve(information + np.diag(12.0 / (high - low) ** 2), slope)
+            hoped = self._nats(here, causes, information) + self.hope * float(slope @ change)
+            if number and hoped < best_nats - 2 * self.hopeless_nats:
+                return FittedSet(self._named(start, values), linear, here, hoped)
             best = None
             for share in (1.0, 0.4, 0.1):
                 moved = np.clip(values + share * change, low, high)

@@ -19,6 +19,7 @@ from swarmtwin.recordings.recording import Recording
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.physics import Period, Physics, advance
 from swarmtwin.standin.session import DrivenSession
+from swarmtwin.studies.hidden_effects.baselines.recorded_poses import recorded_poses
 
 
 class Linearised(NamedTuple):
@@ -90,12 +91,7 @@ class TrueLikelihood:
     @classmethod
     def of(cls, driven: DrivenSession, recording: Recording) -> Self:
         """Take a session and its recording, which may be rounded or blurred."""
-        session = driven.session
-        measured = np.full(driven.pose.shape, np.nan)
-        runs = {run: number for number, run in enumerate(dict.fromkeys(track.run for track in recording.tracks))}
-        for track in recording.tracks:
-            measured[runs[track.run], : len(track), session.vehicles.index(track.vehicle)] = track.pose
-        return cls(driven, measured)
+        return cls(driven, recorded_poses(driven, recording))
 
     def with_tails_of(self, twin: Self, noises: Sequence[float] = (0.8, 1.0, 1.15, 1.3, 1.5)) -> Self:
         """Return it with the tails of a session in which nothing hides, where the stand-in's chance has heavy ones.
