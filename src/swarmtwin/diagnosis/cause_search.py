@@ -74,26 +74,26 @@ class CauseSearch:
         progress: Progress | None = None,
         usual_loss: Callable[[], float] = float,
     ) -> None:
-        self._usual_loss, self._usual_gain = usual_loss, dict[tuple[str, ...], float]()
+        self._usual_loss, self._usual_gain = usual_loss, dict[tuple[MechanismClass, ...], float]()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = {name: kind for name, kind in kinds.items() if model.can_show(kind)}
-        self.fitted: dict[frozenset[str], EstimatedSet] = {}
+        self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}
 
     def run(self) -> CausePosterior:
         """Fit sets of one cause more at a time, beside the best ones, until a further cause is not probable."""
-        nothing = self._fit((), ())
+        nothing = self._fit(())
         frontier, best = [nothing], self.score(nothing)
         for count in range(1, self.settings.most_causes + 1):
             proposed: list[Candidate] = []
             for number, one in enumerate(frontier):
                 self._tell(f"{count} causes", number, len(frontier))
                 found = candidates(self.model, one.fitted, self.kinds)
-                proposed += best_by_name(found)[: self.settings.fitted_a_set]
+                proposed += best_by_name(found, self.settings.fitted_a_set)
                 if count == 1:
                     proposed += pairs(self.model, one.fitted, found)[: self.settings.fitted_pairs]
             for candidate in proposed:
                 if candidate.nats > self.settings.least_promise:
-                    self._fit(candidate.start, tuple(one.name for one in candidate.start))
+                    self._fit(candidate.start)
             sized = sorted((one for one in self.fitted.values() if len(one.names) == count), key=self.score)
             frontier = sized[::-1][: self.settings.kept_sets]
             if not frontier or self.score(frontier[0]) < best:
@@ -103,19 +103,23 @@ class CauseSearch:
         return self._posterior(nothing)
 
     def score(self, one: EstimatedSet) -> float:
-        """Return the log of evidence times prior, each cause's gain counted from where it begins to matter."""
+        """Return the log of evidence times prior, each cause's gain counted from where it begins to matter.
+
+        All forms of a cause are equally probable beforehand.
+        """
         needed = len(one.names) * needed_nats(self.settings, len(self.model.session))
+        needed += sum(math.log(len(kind.forms())) for kind in one.fitted.kinds)
         return one.evidence - needed - self._gained_by_usual_loss(one)
 
     def _gained_by_usual_loss(self, one: EstimatedSet) -> float:
         """Return the nats that a set with lost commands gains by as many as the reference seems to lose: no news."""
         if not loses_commands(one.fitted.kinds):
             return 0.0
-        if one.names not in self._usual_gain:
+        if one.fitted.kinds not in self._usual_gain:
             usual, none = (self._with_loss(one, share) for share in (self._usual_loss(), 0.0))
             totals = [self.model.evaluate(mechanisms).total for mechanisms in (usual, none)]
-            self._usual_gain[one.names] = max(totals[0] - totals[1], 0.0) if usual != none else 0.0
-        return self._usual_gain[one.names]
+            self._usual_gain[one.fitted.kinds] = max(totals[0] - totals[1], 0.0) if usual != none else 0.0
+        return self._usual_gain[one.fitted.kinds]
 
     @staticmethod
     def _with_loss(one: EstimatedSet, share: float) -> list[Mechanism]:
@@ -125,8 +129,8 @@ class CauseSearch:
             for each in one.mechanisms
         ]
 
-    def _fit(self, start: Sequence, names: Sequence[str]) -> EstimatedSet:
-        key = frozenset(names)
+    def _fit(self, start: Sequence[Mechanism]) -> EstimatedSet:
+        key = frozenset(type(one) for one in start)
         if key not in self.fitted:
             self.fitted[key] = estimate(self.model, start)
         return self.fitted[key]
@@ -135,8 +139,7 @@ class CauseSearch:
         """Fit what is left of the best set when single causes are taken out of it."""
         best = max(self.fitted.values(), key=self.score)
         for name in best.names:
-            others = [one for one in best.mechanisms if one.name != name]
-            self._fit(others, [one.name for one in others])
+            self._fit([one for one in best.mechanisms if one.name != name])
 
     def _posterior(self, nothing: EstimatedSet) -> CausePosterior:
         ordered = sorted(self.fitted.values(), key=self.score, reverse=True)

@@ -30,6 +30,11 @@ class Candidate:
     columns: np.ndarray
     probe: float = 0.0
 
+    @property
+    def form(self) -> MechanismClass:
+        """The form of the mechanism."""
+        return type(self.start[-1])
+
 
 def candidates(
     model: SessionLikelihood, beside: FittedMechanisms, kinds: Mapping[str, MechanismClass]
@@ -37,20 +42,23 @@ def candidates(
     """Return mechanisms at all points of their grids, beside others that are fitted already."""
     traction = local_traction_score(model, beside)
     found = []
-    for name, kind in kinds.items():
+    for name, cause in kinds.items():
         if name not in beside.names:
-            for start in _grid(model, kind, traction):
-                found.append(_candidate(model, beside, name, kind, start))
+            for kind in cause.forms():
+                for start in _grid(model, kind, traction):
+                    found.append(_candidate(model, beside, name, kind, start))
     return found
 
 
-def best_by_name(found: Sequence[Candidate]) -> list[Candidate]:
-    """Return the best point of each mechanism, the most promising first."""
-    best: dict[str, Candidate] = {}
+def best_by_name(found: Sequence[Candidate], most: int) -> list[Candidate]:
+    """Return the best points of the `most` most promising mechanisms, one for each form, the most promising first."""
+    best: dict[MechanismClass, Candidate] = {}
     for one in found:
-        if one.name not in best or one.nats > best[one.name].nats:
-            best[one.name] = one
-    return sorted(best.values(), key=lambda one: -one.nats)
+        if one.form not in best or one.nats > best[one.form].nats:
+            best[one.form] = one
+    ordered = sorted(best.values(), key=lambda one: -one.nats)
+    names = list(dict.fromkeys(one.name for one in ordered))[:most]
+    return [one for one in ordered if one.name in names]
 
 
 def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Candidate]) -> list[Candidate]:

@@ -8,10 +8,12 @@ vehicles at a time; tensors are float64.
 from abc import ABC
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
 
 import numpy as np
 import torch
+from pydantic import create_model
 from torch import Tensor
 
 from swarmtwin.learning.situation import Situation
@@ -146,6 +148,18 @@ class Mechanism(StrictModel, ABC):
         return True
 
     @classmethod
+    def forms(cls) -> tuple[type["Mechanism"], ...]:
+        """Return the physical forms that this cause may take, all of its name: which one it is, a session shows."""
+        return (cls,)
+
+    @classmethod
+    @cache
+    def with_default(cls, field: str, value: Any) -> type["Mechanism"]:
+        """Return the same mechanism with another default of a field: another form of it."""
+        fields: dict[str, Any] = {field: (cls.model_fields[field].annotation, value)}
+        return create_model(cls.__name__, __base__=cls, **fields)
+
+    @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Return its parameters for a robot in a session, by name."""
         return cls.parameters
@@ -184,7 +198,7 @@ class Mechanism(StrictModel, ABC):
 
     def values(self) -> dict[str, float]:
         """Return its parameters' values by name."""
-        return {name: value for name, value in self if name != "name" and value is not None}
+        return {name: value for name, value in self if isinstance(value, float | int)}
 
     def reported(self) -> dict[str, float]:
         """Return its parameters as a diagnosis reports them; the same as `values` unless said otherwise."""

@@ -1,15 +1,23 @@
-"""All actuators are stronger or weaker: wheel radius, supply."""
+"""All actuators are stronger or weaker: wheel radius, propeller, supply."""
 
 from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
-from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort
 
 
 class Config(Mechanism):
-    """The speed of every actuator is multiplied by `gain`."""
+    """The speed of every actuator is multiplied by `gain`; or its effort is, before what the robot makes of it.
+
+    Another wheel changes the speed. A weaker supply or a shorter stroke changes the effort, which dead bands and a
+    thrust that levels off turn into another change of speed.
+
+    Attributes:
+        gain: the factor.
+        acts_on: what it multiplies.
+    """
 
     stage: ClassVar = "supply"
     words: ClassVar = "every actuator runs at {gain} times its speed"
@@ -18,7 +26,19 @@ class Config(Mechanism):
 
     name: Literal["gain_change"] = "gain_change"
     gain: float
+    acts_on: Literal["speed", "effort"] = "speed"
 
-    def supply_gain(self, moment: Moment) -> Tensor:
-        """Return the gain of all actuators."""
-        return torch.full((1, 1), self.gain, dtype=torch.float64)
+    @classmethod
+    def forms(cls) -> tuple[type[Mechanism], ...]:
+        """Return that of the speed and that of the effort."""
+        return Config, Config.with_default("acts_on", "effort")
+
+    def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
+        """Multiply the efforts, if it acts on them."""
+        if self.acts_on == "speed":
+            return command
+        return change_effort(command, moment, lambda effort: effort * self.gain)
+
+    def supply_gain(self, moment: Moment) -> Tensor | None:
+        """Return the gain of all actuators, if it acts on their speed."""
+        return torch.full((1, 1), self.gain, dtype=torch.float64) if self.acts_on == "speed" else None
