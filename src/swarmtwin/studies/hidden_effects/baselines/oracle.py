@@ -187,7 +187,7 @@ class Oracle:
                 values, here = best
             if gained < 0.05:
                 break
-            if number in (0, 2):
+            if number == 0:
                 linear = self._linearise(self._named(start, values))
                 here = self._evaluate(self._named(start, values), linear)
         final = self._named(start, values)

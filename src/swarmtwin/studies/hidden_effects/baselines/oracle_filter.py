@@ -28,11 +28,13 @@ class Linearised(NamedTuple):
     Attributes:
         transition: (T, R, V, n, n) how those states at the period's end depend on them at its beginning.
         spread: (T, R, V, n, n) covariance that the period itself adds.
+        shift: (T, n, R, V) by which chance moves those states on average, since the equations are not linear.
         seen: (T + 1, R, V, 3, n) how the picture of a row depends on them.
     """
 
     transition: np.ndarray
     spread: np.ndarray
+    shift: np.ndarray
     seen: np.ndarray
 
 
@@ -43,11 +45,13 @@ class Gains(NamedTuple):
         gain: (T, R, V, n, 3) on what surprises it; zero where there is no picture.
         whitening: (T, R, V, 3, 3) by which surprises become independent and of variance 1; zero likewise.
         log_size: (T, R, V) log-determinant of the whitening; zero likewise.
+        shift: (T, n, R, V) that chance adds to the states on average.
     """
 
     gain: np.ndarray
     whitening: np.ndarray
     log_size: np.ndarray
+    shift: np.ndarray
 
 
 class Evaluation(NamedTuple):
@@ -78,6 +82,8 @@ class TrueLikelihood:
         freedom: degrees of freedom of the surprises' Student's t; None: they are normal.
         usual_noise: factor on the motion's random part that makes normal surprises of heavy-tailed ones.
         parts: of a period in which chance is taken to act alike.
+        astray: share of normal surprises that are `astray_factor` times as large: a filter is linear, a wall is not.
+        astray_factor: see there.
         nudge: of velocities, as a share of 100 mm/s or 1 rad/s, by which the equations are made linear.
     """
 
@@ -86,6 +92,8 @@ class TrueLikelihood:
     freedom: float | None = None
     usual_noise: float = 1.0
     parts: int = 5
+    astray: float = 0.01
+    astray_factor: float = 5.0
     nudge: float = 0.05
 
     @classmethod
@@ -165,7 +173,7 @@ class TrueLikelihood:
             diagonal = np.diagonal(whitening[step], axis1=-2, axis2=-1)
             log_size[step] = np.log(np.where(diagonal > 0, diagonal, 1.0)).sum(axis=-1)
             unseen = before - gain[step] @ linear.seen[step + 1] @ before
-        return Gains(gain, whitening, log_size)
+        return Gains(gain, whitening, log_size, (noise * self.usual_noise) ** 2 * linear.shift)
 
     def _gain(self, before: np.ndarray, seen: np.ndarray, is_seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         spread = seen @ before @ _turned(seen) + self.camera
@@ -182,31 +190,28 @@ class TrueLikelihood:
         driven = replace(self.driven, session=replace(self.driven.session, effects=effects))
         physics = driven.session.physics(driven.session.vehicles)
         follower = Follower(self, physics, driven)
-        transition, spread, seen = [], [], [follower.seen_slope(0)]
-        unseen = None
+        if gains is not None:
+            for step in range(driven.session.steps):
+                follower.go_on(step, gains.shift[step])
+                follower.look(step, gains.gain[step], gains.whitening[step])
+            nothing = np.empty(0)
+            return follower.evaluation(gains.log_size), Linearised(nothing, nothing, nothing, nothing)
+        seen = [follower.seen_slope(0)]
+        back = np.linalg.inv(seen[0][..., :3])
+        unseen = np.zeros((*back.shape[:2], len(self.moved), len(self.moved)))
+        unseen[..., :3, :3] = back @ self.camera @ _turned(back)
+        slopes = []
         for step in range(driven.session.steps):
-            if gains is None:
-                transition_now, spread_now = follower.slopes(step)
-                transition.append(transition_now)
-                spread.append(spread_now)
-                if unseen is None:
-                    back = np.linalg.inv(seen[0][..., :3])
-                    unseen = np.zeros_like(spread_now)
-                    unseen[..., :3, :3] = back @ self.camera @ _turned(back)
-                before = transition_now @ unseen @ _turned(transition_now)
-                before = before + self.usual_noise**2 * spread_now
-                follower.go_on(step)
-                seen.append(follower.seen_slope(step + 1))
-                gain, whitening = self._gain(before, seen[-1], self.is_seen[:, step + 1])
-                unseen = before - gain @ seen[-1] @ before
-            else:
-                follower.go_on(step)
-                gain, whitening = gains.gain[step], gains.whitening[step]
+            slopes.append(follower.slopes(step, unseen))
+            transition, spread, shift = slopes[-1]
+            before = transition @ unseen @ _turned(transition) + self.usual_noise**2 * spread
+            follower.go_on(step, self.usual_noise**2 * shift)
+            seen.append(follower.seen_slope(step + 1))
+            gain, whitening = self._gain(before, seen[-1], self.is_seen[:, step + 1])
+            unseen = before - gain @ seen[-1] @ before
             follower.look(step, gain, whitening)
-        nothing = np.empty(0)
-        linear = Linearised(*(np.stack(one) if one else nothing for one in (transition, spread, seen)))
-        log_size = gains.log_size if gains else np.zeros(())
-        return follower.evaluation(log_size), linear
+        linear = Linearised(*(np.stack(one) for one in zip(*slopes, strict=True)), np.stack(seen))
+        return follower.evaluation(np.zeros(())), linear
 
     def _apart(self, measured: np.ndarray, expected: np.ndarray) -> np.ndarray:
         apart: np.ndarray = measured - expected
@@ -241,12 +246,17 @@ class Follower:
             pose = pose + self.likelihood._apart(shown, self.physics.seen(pose, self.progress[:, 0, None]))
         return pose
 
-    def go_on(self, step: int) -> None:
-        """Let a period pass, with its command and, where commands are lost, without it as well."""
+    def go_on(self, step: int, shift: np.ndarray) -> None:
+        """Let a period pass, with its command and, where commands are lost, without it as well.
+
+        Chance moves states on average by a `shift` (n, R, V).
+        """
         command = np.moveaxis(self.driven.command[:, step], -1, 0)
         self.ways = [(1.0 - self.loss, command, self._after(command, step))]
         if self.loss:
             self.ways.append((self.loss, self.active, self._after(self.active, step)))
+        for _, _, after in self.ways:
+            after[self.likelihood.moved] += shift
 
     def _after(self, command: np.ndarray, step: int) -> np.ndarray:
         period = Period(command, self.active, self.duration_s[:, step, None], self.progress[:, step, None])
@@ -261,10 +271,9 @@ class Follower:
             apart = np.nan_to_num(self.likelihood._apart(shown, expected))
             surprise = np.einsum("rvij,rvj->rvi", whitening, apart)
             squared = (surprise**2).sum(axis=-1)
-            weight = np.ones_like(squared) if freedom is None else (freedom + 3.0) / (freedom + squared)
+            density, weight = self._normal(squared) if freedom is None else self._heavy_tailed(squared, freedom)
             corrected = after.copy()
             corrected[self.likelihood.moved] += np.moveaxis(np.einsum("rvij,rvj->rvi", gain, apart), -1, 0)
-            density = -0.5 * squared if freedom is None else -0.5 * (freedom + 3.0) * np.log1p(squared / freedom)
             nats.append(np.log(chance) + density)
             surprises.append(surprise * np.sqrt(weight)[..., None])
             states.append(corrected)
@@ -273,6 +282,19 @@ class Follower:
         self.surprises.append(np.where((likeliest == 0)[..., None], surprises[0], surprises[-1]))
         self.active = np.where(likeliest == 0, self.ways[0][1], self.ways[-1][1])
         self.state = np.where(likeliest == 0, states[0], states[-1])
+
+    def _normal(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the log-density of surprises of squared size (R, V), and how much each counts: few are astray."""
+        share, factor = self.likelihood.astray, self.likelihood.astray_factor
+        usual = np.log1p(-share) - 0.5 * squared
+        astray = np.log(share) - 3.0 * np.log(factor) - 0.5 * squared / factor**2
+        density = np.logaddexp(usual, astray)
+        is_usual = np.exp(usual - density)
+        return density, is_usual + (1.0 - is_usual) / factor**2
+
+    def _heavy_tailed(self, squared: np.ndarray, freedom: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return likewise where they follow Student's t."""
+        return -0.5 * (freedom + 3.0) * np.log1p(squared / freedom), (freedom + 3.0) / (freedom + squared)
 
     def evaluation(self, log_size: np.ndarray) -> Evaluation:
         """Return the likelihood of all that was seen."""
@@ -297,33 +319,54 @@ class Follower:
             slope[..., axis] = apart / size
         return slope
 
-    def slopes(self, step: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return how the states that chance moves pass through a period, and the covariance it adds, (R, V, n, n)."""
+    def slopes(self, step: int, unseen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return how the states that chance moves pass through a period.
+
+        Args:
+            step: number of the period.
+            unseen: (R, V, n, n) covariance of the states before.
+
+        Returns:
+            transition (R, V, n, n), covariance that it adds (R, V, n, n), and by how much chance, and what is not known
+            of the states before, move them on average (n, R, V), by differences to both sides.
+        """
         moved, physics, parts = self.likelihood.moved, self.physics, self.likelihood.parts
         runs, vehicles = self.state.shape[1:]
-        nudges = np.array([0.0, 0.0, 0.02, *([100 * self.likelihood.nudge] * 2), self.likelihood.nudge])[: len(moved)]
-        columns = 1 + len(moved) - 2 + parts * physics.noises
+        nudges = np.array([0.02, *([100 * self.likelihood.nudge] * 2), self.likelihood.nudge])[: len(moved) - 2]
+        first = len(nudges)
+        half = first + parts * physics.noises
+        columns = 1 + 2 * half
         state = np.repeat(self.state[:, None], columns, axis=1)
         noise = np.zeros((physics.substeps, physics.noises, columns, runs, vehicles))
-        for index in range(2, len(moved)):
-            state[moved[index], index - 1] += nudges[index]
         edges = np.linspace(0, physics.substeps, parts + 1).round().astype(int)
-        first = len(moved) - 1
-        for part, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
-            for channel in range(physics.noises):
-                noise[low:high, channel, first + part * physics.noises + channel] = 1.0 / np.sqrt(high - low)
+        for sign, start in ((1.0, 1), (-1.0, 1 + half)):
+            for index, size in enumerate(nudges):
+                state[moved[2 + index], start + index] += sign * size
+            for part, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+                for channel in range(physics.noises):
+                    column = start + first + part * physics.noises + channel
+                    noise[low:high, channel, column] = sign / np.sqrt(high - low)
+        after = self._all_after(step, state, noise)
+        ahead, behind, middle = after[..., 1 : 1 + half], after[..., 1 + half :], after[..., :1]
+        slope, bend = (ahead - behind) / 2.0, ahead + behind - 2.0 * middle
+        transition = np.zeros((runs, vehicles, len(moved), len(moved)))
+        transition[..., [0, 1], [0, 1]] = 1.0
+        transition[..., 2:] = slope[..., :first] / nudges
+        variance = np.diagonal(unseen, axis1=-2, axis2=-1)[..., None, 2:] / nudges**2
+        shift = 0.5 * ((bend[..., :first] * variance).sum(axis=-1) + bend[..., first:].sum(axis=-1))
+        shares = slope[..., first:]
+        return transition, shares @ _turned(shares), np.moveaxis(shift, -1, 0)
+
+    def _all_after(self, step: int, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Return the moved states (R, V, n, columns) after a period of as many variants (states, columns, R, V)."""
+        moved, (columns, runs, vehicles) = self.likelihood.moved, state.shape[1:]
         command = np.moveaxis(self.driven.command[:, step], -1, 0)
         duration_s, progress = (np.tile(one[:, step], columns)[:, None] for one in (self.duration_s, self.progress))
         period = Period(np.tile(command, (1, columns, 1)), np.tile(self.active, (1, columns, 1)), duration_s, progress)
         flat = state.reshape(len(state), columns * runs, vehicles)
-        after = advance(physics, flat, period, noise.reshape(*noise.shape[:2], columns * runs, vehicles))
-        after = np.moveaxis(after[moved].reshape(len(moved), columns, runs, vehicles), (0, 1), (-2, -1))
-        away = after - after[..., :1]
-        transition = np.zeros((runs, vehicles, len(moved), len(moved)))
-        transition[..., [0, 1], [0, 1]] = 1.0
-        transition[..., 2:] = away[..., 1:first] / nudges[2:]
-        shares = away[..., first:]
-        return transition, shares @ _turned(shares)
+        after = advance(self.physics, flat, period, noise.reshape(*noise.shape[:2], columns * runs, vehicles))
+        by_column = after[moved].reshape(len(moved), columns, runs, vehicles)
+        return np.moveaxis(by_column, (0, 1), (-2, -1))
 
 
 def _turned(matrix: np.ndarray) -> np.ndarray:
