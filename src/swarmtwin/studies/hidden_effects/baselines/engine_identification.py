@@ -1,16 +1,15 @@
-"""System identification by `mujoco.sysid`: the true rigid-body model, all its parameters free, fitted to the session."""
+"""System identification by `mujoco.sysid`: the true rigid-body model, all its parameters free, fitted to a session."""
 
 import importlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.util import find_spec
 from io import StringIO
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
+from swarmtwin.diagnosis.settings import SearchSettings
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between, wrap_angle
 from swarmtwin.recordings.recording import Recording
@@ -22,6 +21,7 @@ from swarmtwin.standin.physics import Period
 from swarmtwin.standin.rigid_body.driving import machine_of
 from swarmtwin.standin.rigid_body.machine import Machine
 from swarmtwin.standin.session import DrivenSession, StandInSession
+from swarmtwin.studies.hidden_effects.baselines.engine_parameters import BODY, SETTING, Freedom, Reading, readings
 from swarmtwin.studies.hidden_effects.baselines.recorded_poses import recorded_poses
 
 
@@ -29,78 +29,27 @@ def load_identification() -> Any:
     """Return `mujoco.sysid`.
 
     Raises:
-        UserError: MuJoCo is not installed, or what its toolbox needs beside it.
+        UserError: MuJoCo is not installed, or not with what its toolbox needs.
     """
-    if find_spec("mujoco") is None or find_spec("absl") is None:
-        raise UserError("mujoco.sysid needs MuJoCo and absl: pip install 'mujoco>=4.0.0,<5' absl-py")
-    return importlib.import_module("mujoco.sysid")
+    try:
+        toolbox = importlib.import_module("mujoco.sysid")
+    except ImportError:
+        toolbox = None
+    if not hasattr(toolbox, "optimize"):  # without what it needs it is there, and empty
+        raise UserError(
+            "mujoco.sysid, which family 'rigid_body' is compared with, is not installed: "
+            "pip install 'mujoco[sysid]>=4.0.0,<5', or true_model.quick=0 true_model.full=0"
+        )
+    return toolbox
 
 
 def is_identification_available() -> bool:
     """Return whether `mujoco.sysid` can be used here."""
     try:
-        return hasattr(load_identification(), "optimize")
+        load_identification()
     except UserError:
         return False
-
-
-class Freedom(NamedTuple):
-    """A parameter of the model: its nominal value, its bounds, and by how much it is changed to see what that does."""
-
-    nominal: float
-    low: float
-    high: float
-    step: float
-
-
-FACTORS: dict[str, tuple[str, ...]] = {
-    "mgr": (
-        *("left_motor", "right_motor", "left_radius", "right_radius", "left_friction", "right_friction"),
-        *("track", "mass", "rotor", "caster_grip", "tyre_grip", "resistance"),
-    ),
-    "mur": (
-        *("mass", "drag", "stiffness", "chord", "span", "trim"),
-        *("servo_gain", "servo_damping", "bend_damping", "plate_mass", "tail_mass", "setting_s"),
-    ),
-}
-"""Properties of each body that are free, over their true values. A gear and a voltage would be the motors' over again."""
-
-SETTING: dict[str, Freedom] = {
-    "carried_x_mm_s": Freedom(0.0, -60.0, 60.0, 0.5),
-    "carried_y_mm_s": Freedom(0.0, -60.0, 60.0, 0.5),
-    "marker_forward_mm": Freedom(0.0, -90.0, 90.0, 1.0),
-    "marker_left_mm": Freedom(0.0, -90.0, 90.0, 1.0),
-    "marker_rad": Freedom(0.0, -1.2, 1.2, 0.01),
-    "camera_gain": Freedom(1.0, 0.51, 1.9, 0.01),
-    "delay_s": Freedom(0.0, 0.0, 0.45, 0.005),
-}
-"""What is free beside the body: the velocity of floor or water, where the marker sits, and what the toolbox knows as
-gains of sensors and delays of controls."""
-
-Contrast = Mapping[str, float]
-
-NAMES: dict[str, dict[str, Sequence[Contrast]]] = {
-    "mgr": {
-        "gain_change": [{"left_radius": 0.5, "right_radius": 0.5}],
-        "actuator_asymmetry": [{"left_motor": 1.0, "right_motor": -1.0}],
-        "dead_band": [{"left_friction": 0.5, "right_friction": 0.5}],
-        "actuator_lag": [{"rotor": 1.0}],
-    },
-    "mur": {
-        "gain_change": [{"chord": 0.5, "span": 0.5}],
-        "actuator_asymmetry": [{"trim": 1.0}],
-        "actuator_lag": [{"setting_s": 1.0}],
-    },
-}
-"""Which cause a change of the body is: of each cause the sums of parameters that tell of it."""
-
-NAMES_OF_SETTING: dict[str, Sequence[Contrast]] = {
-    "steady_drift": [{"carried_x_mm_s": 1.0}, {"carried_y_mm_s": 1.0}],
-    "marker_offset": [{"marker_forward_mm": 1.0}, {"marker_left_mm": 1.0}],
-    "marker_yaw": [{"marker_rad": 1.0}],
-    "camera_scale": [{"camera_gain": 1.0}],
-    "command_delay": [{"delay_s": 1.0}],
-}
+    return True
 
 
 @dataclass(frozen=True)
@@ -108,14 +57,12 @@ class Identified:
     """What was identified.
 
     Attributes:
-        values: of each parameter.
-        causes: that it names, the surest first.
-        displacement: (R, T, V, 3) predicted for every row, NaN where its pose was not seen.
+        values: of each of the P parameters.
+        causes: that it names, the first found first, with their parameters.
     """
 
     values: dict[str, float]
-    causes: tuple[str, ...]
-    displacement: np.ndarray
+    causes: dict[str, dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -123,36 +70,45 @@ class EngineIdentification:
     """The least-squares problem: one-step predictions of a rigid-body model with P free parameters.
 
     The model is the true one, of the very unit; its state is carried through each run by itself, and its pose is set to
-    the measured one each period. Effects' names are given to what differs significantly from the true model.
+    the measured one each period. What the toolbox finds is read as the fewest causes that would change the model so.
 
     Attributes:
         session: what was recorded; who drove is known, effects are not looked at.
         driven: its commands and its clock.
         measured: (R, T + 1, V, 3) poses as recorded, NaN where there is none.
-        significance: at which anything is named, over all causes together.
+        transitions: fitted to, those of the first runs: about as many as fit into a minute.
         iterations: of the toolbox's optimiser at most.
+        most_causes: that are named.
+        search: settings of the diagnosis' own search: the prior of a cause.
     """
 
     session: StandInSession
     driven: DrivenSession
     measured: np.ndarray
-    significance: float = 0.003
-    iterations: int = 4
+    transitions: int = 600
+    iterations: int = 2
+    most_causes: int = 4
+    search: SearchSettings = field(default_factory=SearchSettings)
 
     @classmethod
-    def of(cls, driven: DrivenSession, recording: Recording, iterations: int = 4) -> "EngineIdentification":
+    def of(cls, driven: DrivenSession, recording: Recording) -> "EngineIdentification":
         """Take a session and its recording."""
-        return cls(driven.session, driven, recorded_poses(driven, recording), iterations=iterations)
+        return cls(driven.session, driven, recorded_poses(driven, recording))
 
     @property
     def robot(self) -> Robot:
         """The robot."""
         return self.session.robot
 
+    @property
+    def body(self) -> tuple[str, ...]:
+        """Properties of the body that are free."""
+        return tuple(BODY[self.robot.name])
+
     @cached_property
     def freedoms(self) -> dict[str, Freedom]:
         """The P parameters."""
-        return {name: Freedom(1.0, 0.2, 4.0, 0.02) for name in FACTORS[self.robot.name]} | SETTING
+        return {**BODY[self.robot.name], **SETTING[self.robot.name]}
 
     @cached_property
     def nominal(self) -> np.ndarray:
@@ -167,7 +123,7 @@ class EngineIdentification:
     def machine(self, values: np.ndarray) -> Machine:
         """Return the model with parameters (P,)."""
         named = dict(zip(self.freedoms, values.tolist(), strict=True))
-        body = {name: named[name] for name in FACTORS[self.robot.name]}
+        body = {name: named[name] for name in self.body}
         unit = machine_of(StandInSession(self.robot, self.session.vehicles, 1, 1, 0))
         return unit.altered(body, self._setting(named))
 
@@ -185,10 +141,14 @@ class EngineIdentification:
             {"name": "camera_scale", "scale": named["camera_gain"]},
             {"name": "command_delay", "delay_s": max(named["delay_s"], 1e-9)},
         ]
+        if "stroke" in named:
+            entries.append({"name": "gain_change", "gain": named["stroke"]})
+        if "voltage_ratio" in named:
+            entries.append({"name": "actuator_asymmetry", "ratio": named["voltage_ratio"]})
         return parse_effects(entries, self.robot, len(self.session.vehicles))
 
     def predicted(self, values: np.ndarray, runs: np.ndarray) -> np.ndarray:
-        """Return the displacements (runs, T, V, 3) that the model expects of some runs, as the camera would see them."""
+        """Return the displacements (runs, T, V, 3) that the model expects of some runs, as the camera sees them."""
         machine, measured = self.machine(values), self.measured[runs]
         seen = machine.conditions.seen
         pose = _unseen(machine.conditions, np.where(np.isfinite(measured[:, 0]), measured[:, 0], 0.0))
@@ -209,54 +169,98 @@ class EngineIdentification:
             state = machine.carried_to(pose, state)
         return np.stack(displacements, axis=1)
 
-    def identify(self, runs: np.ndarray, most_transitions: int = 600) -> Identified:
-        """Fit all parameters to the first of some runs, as many as have so many transitions; predict all runs."""
-        sysid = load_identification()
-        fitted = runs[: max(8, most_transitions // (self.session.steps * len(self.session.vehicles)))]
-        measured = displacement_between(self.measured[fitted, :-1], self.measured[fitted, 1:])
-        at_nominal = _apart(self.predicted(self.nominal, fitted), measured)
+    def identify(self) -> Identified:
+        """Fit all parameters to the first runs, and read what was found.
+
+        Raises:
+            UserError: the toolbox is not installed.
+        """
+        toolbox = load_identification()
+        runs = np.arange(min(len(self.measured), self._runs_fitted()))
+        measured = displacement_between(self.measured[runs, :-1], self.measured[runs, 1:])
+        at_nominal = _apart(self.predicted(self.nominal, runs), measured)
         known = np.isfinite(at_nominal).all(axis=-1)
         usual = 1.4826 * np.median(np.abs(at_nominal[known]), axis=0)
 
         def residual(shifts: np.ndarray, _: Any) -> tuple[list[np.ndarray], list[Any], list[Any]]:
             columns = shifts.reshape(len(self.nominal), -1).T
-            apart = [
-                (_apart(self.predicted(self.nominal + self.steps * one, fitted), measured)[known] / usual).ravel()
-                for one in columns
-            ]
+            values = self.nominal + self.steps * columns
+            apart = [(_apart(self.predicted(one, runs), measured)[known] / usual).ravel() for one in values]
             return [np.stack(apart, axis=-1) if shifts.ndim > 1 else apart[0]], [], []
 
-        parameters = sysid.ParameterDict()
-        for name, freedom in self.freedoms.items():
-            low, high = ((bound - freedom.nominal) / freedom.step for bound in (freedom.low, freedom.high))
-            parameters.add(sysid.Parameter(name, max(0.0, low + 1.0 if low >= 0 else low), low, high))  # the toolbox dislikes a bound
-        _, found = sysid.optimize(
+        parameters = self._parameters(toolbox)
+        _, found = toolbox.optimize(
             parameters, residual, verbose=False, output=StringIO(), eps=0.5, max_iters=self.iterations, xtol=0.05
         )
         shifts = np.asarray(found.x).ravel()
-        at_best, _, _ = residual(shifts, parameters)
-        covariance, _ = sysid.calculate_intervals(at_best, np.asarray(found.jac))
-        values = self.nominal + self.steps * shifts
-        everything = np.arange(len(self.measured))
-        named = dict(zip(self.freedoms, values.tolist(), strict=True))
-        causes = self._causes(shifts, np.asarray(covariance))
-        return Identified(named, causes, self.predicted(values, everything))
+        values = dict(zip(self.freedoms, (self.nominal + self.steps * shifts).tolist(), strict=True))
+        nudged, _, _ = residual(shifts[:, None] + 0.5 * np.eye(len(shifts)), parameters)
+        (left,), _, _ = residual(shifts, parameters)
+        jacobian = (nudged[0] - left[:, None]) / 0.5
+        by_period = np.zeros((*known.shape, 3))
+        by_period[known] = left.reshape(-1, 3)
+        variance = float(left @ left) / (len(left) - len(shifts)) * _inflation(by_period)
+        return Identified(values, self._read(jacobian, jacobian @ shifts - left, variance))
 
-    def _causes(self, shifts: np.ndarray, covariance: np.ndarray) -> tuple[str, ...]:
-        """Return the causes whose sums of parameters differ from nominal by more than chance, the surest first."""
-        causes = {**NAMES[self.robot.name], **NAMES_OF_SETTING}
-        tests = sum(len(sums) for sums in causes.values())
-        least_z, order = float(norm.isf(self.significance / tests / 2)), list(self.freedoms)
-        strongest: dict[str, float] = {}
-        for name, sums in causes.items():
-            for parts in sums:
-                weights = np.zeros(len(shifts))
-                for parameter, weight in parts.items():
-                    weights[order.index(parameter)] = weight
-                z = abs(float(weights @ shifts)) / np.sqrt(float(weights @ covariance @ weights))
-                strongest[name] = max(strongest.get(name, 0.0), z)
-        outside = [name for name, z in strongest.items() if z > least_z]
-        return tuple(sorted(outside, key=lambda name: -strongest[name]))
+    def _runs_fitted(self, least: int = 8) -> int:
+        return max(least, self.transitions // (self.session.steps * len(self.session.vehicles)))
+
+    def _parameters(self, toolbox: Any) -> Any:
+        """Return the toolbox's parameters: shifts from nominal, begun there, but a step off a bound."""
+        parameters = toolbox.ParameterDict()
+        for name, freedom in self.freedoms.items():
+            low, high = ((bound - freedom.nominal) / freedom.step for bound in (freedom.low, freedom.high))
+            parameters.add(toolbox.Parameter(name, max(0.0, low + 1.0), low, high))
+        return parameters
+
+    def _read(self, jacobian: np.ndarray, wanted: np.ndarray, variance: float) -> dict[str, dict[str, float]]:
+        """Return the fewest causes that do to the model what was found, the first found first.
+
+        A cause is worth its name where it gains more nats than its prior costs, and half a log of the number of
+        residuals for each of its parameters.
+
+        Args:
+            jacobian: (N, P) of the residuals, where the fit ended.
+            wanted: (N,) by how much they must change, from the nominal model on.
+            variance: of the residuals.
+        """
+        price = -np.log(self.search.prior / (1.0 - self.search.prior))
+        chosen: list[Reading] = []
+        sizes, left = np.empty(0), float(wanted @ wanted)
+        while len(chosen) < self.most_causes:
+            tried = []
+            for reading in readings(self.robot.name):
+                if reading.name not in [one.name for one in chosen]:
+                    own_sizes, own_left = self._fit([*chosen, reading], jacobian, wanted)
+                    cost = price + 0.5 * len(reading.directions) * np.log(len(wanted))
+                    tried.append((0.5 * (left - own_left) / variance - cost, reading, own_sizes, own_left))
+            gained, reading, own_sizes, own_left = max(tried, key=lambda one: one[0])
+            if gained <= 0:
+                break
+            chosen.append(reading)
+            sizes, left = own_sizes, own_left
+        parts = np.split(sizes, np.cumsum([len(reading.directions) for reading in chosen]))
+        return {reading.name: reading.told(part) for reading, part in zip(chosen, parts, strict=False)}
+
+    def _fit(self, chosen: Sequence[Reading], jacobian: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the sizes of causes that come nearest to what is wanted, and the squared distance that is left."""
+        order, columns = list(self.freedoms), []
+        for direction in (one for reading in chosen for one in reading.directions):
+            weights = np.zeros(len(order))
+            for name, weight in direction.items():
+                weights[order.index(name)] = weight
+            columns.append(jacobian @ (weights / self.steps))
+        design = np.stack(columns, axis=-1)
+        least = np.concatenate([np.full(len(reading.directions), reading.least) for reading in chosen])
+        sizes = np.maximum(np.linalg.lstsq(design, wanted, rcond=None)[0], least)
+        return sizes, float(((wanted - design @ sizes) ** 2).sum())
+
+
+def _inflation(residual: np.ndarray, lags: int = 4) -> float:
+    """Return by how much residuals (R, T, V, 3) that follow each other vary more, in sums, than independent ones."""
+    size = float((residual**2).sum())
+    products = [float((residual[:, lag:] * residual[:, :-lag]).sum()) for lag in range(1, lags + 1)]
+    return max(1.0, 1.0 + 2.0 * sum(products) / size)
 
 
 def _apart(predicted: np.ndarray, measured: np.ndarray) -> np.ndarray:

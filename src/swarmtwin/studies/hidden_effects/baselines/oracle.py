@@ -1,4 +1,4 @@
-"""An oracle that knows all but the cause: the stand-in's own equations, its unit, its noise, and its effects as physics.
+"""An oracle that knows all but the cause: the stand-in's own equations, its unit, its noise, its effects as physics.
 
 What it makes of a session is the limit of what anyone can: the diagnosis has a learned simulation in the equations'
 place, and mechanisms in that of the effects. It sees what a laboratory records, and no more of the session itself.
@@ -7,7 +7,6 @@ place, and mechanisms in that of the effects. It sees what a laboratory records,
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,9 @@ from swarmtwin.studies.hidden_effects.baselines.oracle_causes import (
     prior_nats,
     supposed_causes,
 )
-from swarmtwin.studies.hidden_effects.baselines.oracle_filter import Evaluation, Linearised, TrueLikelihood
+from swarmtwin.studies.hidden_effects.baselines.oracle_filter import Linearised, TrueLikelihood
+from swarmtwin.studies.hidden_effects.baselines.oracle_follower import Evaluation
+from swarmtwin.studies.hidden_effects.sessions import Truth
 
 Values = dict[str, np.ndarray]
 """Of each cause of a set its parameters (P,)."""
@@ -71,21 +72,27 @@ class Oracle:
     rounds: int = 8
     hope: float = 2.0
 
-    def named(self, outside: Sequence[Effect] = ()) -> tuple[str, ...]:
-        """Return the causes of the likeliest set, none where nothing is likeliest.
+    def named(self, outside: Sequence[Effect] = ()) -> dict[str, dict[str, float]]:
+        """Return the causes of the likeliest set with their parameters, none where nothing is likeliest.
 
         `outside` is what hides in the session and is in no catalogue, which the oracle supposes beside the catalogue's
         sets, with its true parameters and the prior of one cause: where it is likelier than they are, nothing is named.
         """
         best = self.likeliest()
         if outside and self._of_no_catalogue(outside) > best.nats:
-            return ()
-        session = self.likelihood.driven.session
-        unsteady = jitter_nats(
-            np.diff(self.likelihood.driven.time_s), session.robot.period_s, session.conditions.character.jitter
-        )
-        is_unsteady = unsteady + math.log(self.settings.prior / (1 - self.settings.prior)) > 0
-        return (*best.values, *(("timing_jitter",) if is_unsteady else ()))
+            return {}
+        causes = self.causes
+        told = {name: dict(causes[name].named(values)) for name, values in best.values.items()}
+        return {name: {key: float(one) for key, one in own.items()} for name, own in told.items()} | self._jitter()
+
+    def _jitter(self) -> dict[str, dict[str, float]]:
+        """Return the cause that the clock shows by itself, where it does."""
+        driven, character = self.likelihood.driven, self.likelihood.driven.session.conditions.character
+        duration_s, period_s = np.diff(driven.time_s), driven.session.robot.period_s
+        nats = jitter_nats(duration_s, period_s, character.jitter)
+        if nats + math.log(self.settings.prior / (1 - self.settings.prior)) <= 0:
+            return {}
+        return {"timing_jitter": {"spread": float(np.std(duration_s / period_s))}}
 
     @property
     def causes(self) -> dict[str, SupposedCause]:
@@ -108,10 +115,16 @@ class Oracle:
             chosen = max(left, key=lambda one: one.nats)
             changed.add(frozenset(chosen.values))
             for start in self._changes(chosen):
-                if frozenset(start) not in tried:
+                known = tried.get(frozenset(start))
+                if known is None or self._begins_better(start, chosen.linear, known):
                     best = max(one.nats for one in tried.values())
-                    tried[frozenset(start)] = self.fit(start, best)
+                    fits = [self.fit(start, best), *([known] if known else [])]
+                    tried[frozenset(start)] = max(fits, key=lambda one: one.nats)
         return max(tried.values(), key=lambda one: one.nats)
+
+    def _begins_better(self, start: Values, linear: Linearised, known: FittedSet) -> bool:
+        """Return whether a set that was fitted is likelier already where it would begin anew."""
+        return bool(start) and self._evaluate(start, linear).nats.sum() > known.here.nats.sum() + 0.5
 
     def _may_lead(self, fitted: FittedSet, best: float) -> bool:
         """Return whether a set is near enough to the likeliest one to be changed."""
@@ -133,9 +146,7 @@ class Oracle:
         for name, cause in self.causes.items():
             if name in fitted.values:
                 continue
-            best, start = max(
-                (self._promise(fitted, cause, values) for values in cause.tried), key=lambda one: one[0]
-            )
+            best, start = max((self._promise(fitted, cause, values) for values in cause.tried), key=lambda one: one[0])
             if best > self.settings.least_promise:
                 promises.append((best, name, start))
         promises.sort(key=lambda one: -one[0])
@@ -262,8 +273,8 @@ class Oracle:
         return float(here.nats.sum()) + prior_nats(("outside",), len(self.causes), self.settings.prior)
 
 
-def oracle_causes(truth: Any) -> tuple[str, ...]:
-    """Return what the oracle names in a session, an instance of `sessions.Truth`, whose formulas it knows."""
+def oracle_causes(truth: Truth) -> dict[str, dict[str, float]]:
+    """Return what the oracle names in a session whose equations it knows."""
     measured, twin = truth.measured, truth.twin
     likelihood = TrueLikelihood.of(measured.footage, measured.recording)
     likelihood = likelihood.with_tails_of(TrueLikelihood.of(twin.footage, twin.recording))

@@ -84,12 +84,19 @@ _shares = np.array([0.05, 0.15, 0.3, 0.5, 0.7])
 
 
 def _one(
-    name: str, parameter: str, bounds: tuple[float, float], step: float, tried: Sequence[float] | np.ndarray, nothing: float | None
+    name: str,
+    parameter: str,
+    bounds: tuple[float, float],
+    step: float,
+    tried: Sequence[float] | np.ndarray,
+    nothing: float | None,
 ) -> SupposedCause:
     return SupposedCause(
         name,
         lambda values: {parameter: values[0]},
-        *(np.array([value]) for value in (*bounds, step)),
+        np.array([bounds[0]]),
+        np.array([bounds[1]]),
+        np.array([step]),
         tuple(np.array([value]) for value in tried),
         None if nothing is None else 0,
         nothing or 0.0,
