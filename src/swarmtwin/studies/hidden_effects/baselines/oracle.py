@@ -182,6 +182,7 @@ class Oracle:
         low, high, step = (np.concatenate([getattr(one, each) for one in causes]) for each in ("low", "high", "step"))
         for number in range(self.rounds):
             slope, information = self._slope(start, values, here, linear, high, step)
+            step = np.clip(0.5 / np.sqrt(np.diagonal(information) + 1e-12), 0.05 * step, step)
             change = np.linalg.solve(information + np.diag(12.0 / (high - low) ** 2), slope)
             hoped = self._nats(here, causes, information) + self.hope * float(slope @ change)
             if number and hoped < best_nats - 2 * self.hopeless_nats:
@@ -228,13 +229,15 @@ class Oracle:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return how the log-likelihood changes with each parameter (P,), and Fisher's information (P, P).
 
+        The log-likelihood bends by as much as the information says over the steps by which parameters are changed.
         That of a chance of commands to be lost, which moves no expectation, is the sum of squares over the runs.
         """
-        slopes, responses, log_sizes = [], [], []
+        slopes, responses, log_sizes, signed_steps = [], [], [], []
         for index, own in enumerate(step):
             moved = values.copy()
             signed = own if values[index] + own <= high[index] else -own
             moved[index] += signed
+            signed_steps.append(signed)
             there = self._evaluate(self._named(start, moved), linear)
             slopes.append((there.nats - here.nats) / signed)
             responses.append((there.surprise - here.surprise) / signed)
@@ -246,7 +249,7 @@ class Oracle:
             if name == "command_loss":
                 information[index] = information[:, index] = 0.0
                 information[index, index] = float(slope[index] @ slope[index])
-        return slope.sum(axis=1), information
+        return slope.sum(axis=1) + 0.5 * np.array(signed_steps) * np.diagonal(information), information
 
     def _named(self, start: Values, values: np.ndarray) -> Values:
         edges = np.cumsum([len(own) for own in start.values()])[:-1]

@@ -58,7 +58,7 @@ def supposed_causes(robot: Robot, vehicles: int, late_s: float = 0.0) -> dict[st
         _one("saturation", "limit", (0.05 * limit, 0.999 * limit), 0.01 * limit, limit * (1 - _shares), None),
         _one("command_delay", "delay_s", (1e-5, robot.period_s - late_s - 1e-6), 0.005, [0.02, 0.1], 0.0),
         _one("actuator_lag", "time_constant_s", (1e-5, 0.9), 0.005, [0.02, 0.1], 0.0),
-        _one("camera_scale", "scale", (0.51, 1.6), 0.01, [1.02], 1.0),
+        _one("camera_scale", "scale", (0.5, 1.6), 0.01, [1.02], 1.0),
         _one("lens_distortion", "coefficient", (-0.3, 0.5), 0.01, [0.03], 0.0),
         _one("marker_yaw", "angle_rad", (-1.2, 1.2), 0.01, [0.03], 0.0),
         _one("command_loss", "probability", (1e-5, 0.6), 0.003, [0.002, 0.02, 0.15], None),

@@ -21,7 +21,7 @@ class Chance:
         usual_noise: factor on the motion's random part that makes normal surprises of heavy-tailed ones.
         astray: share of normal surprises that are `astray_factor` times as large: a filter is linear, a wall is not.
         astray_factor: see there.
-        parts: of a period in which chance is taken to act alike.
+        parts: of a period in which chance is taken to act alike, shorter at its beginning, where speeds change.
         nudge: of velocities, as a share of 100 mm/s or 1 rad/s, by which the equations are made linear.
     """
 
@@ -29,7 +29,7 @@ class Chance:
     usual_noise: float = 1.0
     astray: float = 0.01
     astray_factor: float = 5.0
-    parts: int = 5
+    parts: int = 8
     nudge: float = 0.05
 
     def judge(self, squared: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -178,7 +178,10 @@ class Follower:
             transition (R, V, n, n), covariance that it adds (R, V, n, n), and by how much chance, and what is not known
             of the states before, move them on average (n, R, V), by differences to both sides.
         """
-        moved, physics, parts = self.moved, self.physics, self.chance.parts
+        moved, physics = self.moved, self.physics
+        shares = np.linspace(0.0, 1.0, self.chance.parts + 1) ** 2
+        edges = np.unique((physics.substeps * shares).round().astype(int))
+        parts = len(edges) - 1
         runs, vehicles = self.state.shape[1:]
         nudges = np.array([0.02, *([100 * self.chance.nudge] * 2), self.chance.nudge])[: len(moved) - 2]
         first = len(nudges)
@@ -186,11 +189,10 @@ class Follower:
         columns = 1 + 2 * half
         state = np.repeat(self.state[:, None], columns, axis=1)
         noise = np.zeros((physics.substeps, physics.noises, columns, runs, vehicles))
-        edges = np.linspace(0, physics.substeps, parts + 1).round().astype(int)
         for sign, start in ((1.0, 1), (-1.0, 1 + half)):
             for index, size in enumerate(nudges):
                 state[moved[2 + index], start + index] += sign * size
-            for part, (low, high) in enumerate(pairwise(edges)):
+            for part, (low, high) in enumerate(pairwise(edges.tolist())):
                 for channel in range(physics.noises):
                     column = start + first + part * physics.noises + channel
                     noise[low:high, channel, column] = sign / np.sqrt(high - low)
@@ -202,8 +204,8 @@ class Follower:
         transition[..., 2:] = slope[..., :first] / nudges
         variance = np.diagonal(unseen, axis1=-2, axis2=-1)[..., None, 2:] / nudges**2
         shift = 0.5 * ((bend[..., :first] * variance).sum(axis=-1) + bend[..., first:].sum(axis=-1))
-        shares = slope[..., first:]
-        return transition, shares @ turned(shares), np.moveaxis(shift, -1, 0)
+        pushed = slope[..., first:]
+        return transition, pushed @ turned(pushed), np.moveaxis(shift, -1, 0)
 
     def _all_after(self, step: int, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Return the moved states (R, V, n, columns) after a period of as many variants (states, columns, R, V)."""
