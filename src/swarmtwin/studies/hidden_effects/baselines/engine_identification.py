@@ -70,7 +70,8 @@ class EngineIdentification:
     """The least-squares problem: one-step predictions of a rigid-body model with P free parameters.
 
     The model is the true one, of the very unit; its state is carried through each run by itself, and its pose is set to
-    the measured one each period. What the toolbox finds is read as the fewest causes that would change the model so.
+    the measured one each period. What the toolbox finds is read as the fewest causes that change the model so, and read
+    again where these are, since the equations are not linear.
 
     Attributes:
         session: what was recorded; who drove is known, effects are not looked at.
@@ -194,13 +195,17 @@ class EngineIdentification:
         )
         shifts = np.asarray(found.x).ravel()
         values = dict(zip(self.freedoms, (self.nominal + self.steps * shifts).tolist(), strict=True))
-        nudged, _, _ = residual(shifts[:, None] + 0.5 * np.eye(len(shifts)), parameters)
         (left,), _, _ = residual(shifts, parameters)
-        jacobian = (nudged[0] - left[:, None]) / 0.5
         by_period = np.zeros((*known.shape, 3))
         by_period[known] = left.reshape(-1, 3)
         variance = float(left @ left) / (len(left) - len(shifts)) * _inflation(by_period)
-        return Identified(values, self._read(jacobian, jacobian @ shifts - left, variance))
+        jacobian = np.asarray(found.jac)
+        nearest = self._shifts(self._read(jacobian, jacobian @ shifts - left, variance))
+        (left,), _, _ = residual(nearest, parameters)
+        (nudged,), _, _ = residual(nearest[:, None] + 0.5 * np.eye(len(shifts)), parameters)
+        jacobian = (nudged - left[:, None]) / 0.5
+        read = self._read(jacobian, jacobian @ nearest - left, variance)
+        return Identified(values, {reading.name: reading.told(sizes) for reading, sizes in read})
 
     def _runs_fitted(self, least: int = 8) -> int:
         return max(least, self.transitions // (self.session.steps * len(self.session.vehicles)))
@@ -213,14 +218,14 @@ class EngineIdentification:
             parameters.add(toolbox.Parameter(name, max(0.0, low + 1.0), low, high))
         return parameters
 
-    def _read(self, jacobian: np.ndarray, wanted: np.ndarray, variance: float) -> dict[str, dict[str, float]]:
-        """Return the fewest causes that do to the model what was found, the first found first.
+    def _read(self, jacobian: np.ndarray, wanted: np.ndarray, variance: float) -> list[tuple[Reading, np.ndarray]]:
+        """Return the fewest causes that do to the model what was found, with their sizes, the first found first.
 
         A cause is worth its name where it gains more nats than its prior costs, and half a log of the number of
         residuals for each of its parameters.
 
         Args:
-            jacobian: (N, P) of the residuals, where the fit ended.
+            jacobian: (N, P) of the residuals, by shifts.
             wanted: (N,) by how much they must change, from the nominal model on.
             variance: of the residuals.
         """
@@ -240,17 +245,22 @@ class EngineIdentification:
             chosen.append(reading)
             sizes, left = own_sizes, own_left
         parts = np.split(sizes, np.cumsum([len(reading.directions) for reading in chosen]))
-        return {reading.name: reading.told(part) for reading, part in zip(chosen, parts, strict=False)}
+        return list(zip(chosen, parts, strict=False))
+
+    def _directions(self, reading: Reading) -> np.ndarray:
+        """Return the shifts (P, k) by one unit of each size of a cause."""
+        weights = [[direction.get(name, 0.0) for name in self.freedoms] for direction in reading.directions]
+        return np.array(weights).T / self.steps[:, None]
+
+    def _shifts(self, read: Sequence[tuple[Reading, np.ndarray]]) -> np.ndarray:
+        """Return the shifts (P,) by causes of some sizes, within the parameters' bounds."""
+        shifts = sum((self._directions(reading) @ sizes for reading, sizes in read), np.zeros(len(self.freedoms)))
+        low, high = np.array([(freedom.low, freedom.high) for freedom in self.freedoms.values()]).T
+        return np.clip(shifts, (low - self.nominal) / self.steps, (high - self.nominal) / self.steps - 1.0)
 
     def _fit(self, chosen: Sequence[Reading], jacobian: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the sizes of causes that come nearest to what is wanted, and the squared distance that is left."""
-        order, columns = list(self.freedoms), []
-        for direction in (one for reading in chosen for one in reading.directions):
-            weights = np.zeros(len(order))
-            for name, weight in direction.items():
-                weights[order.index(name)] = weight
-            columns.append(jacobian @ (weights / self.steps))
-        design = np.stack(columns, axis=-1)
+        design = jacobian @ np.concatenate([self._directions(reading) for reading in chosen], axis=-1)
         least = np.concatenate([np.full(len(reading.directions), reading.least) for reading in chosen])
         sizes = np.maximum(np.linalg.lstsq(design, wanted, rcond=None)[0], least)
         return sizes, float(((wanted - design @ sizes) ** 2).sum())

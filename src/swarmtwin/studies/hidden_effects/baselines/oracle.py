@@ -177,6 +177,9 @@ class Oracle:
         values = np.concatenate([np.empty(0), *start.values()])
         linear = self._linearise(start)
         here = self._evaluate(start, linear)
+        rough = [one.is_rough for one in causes for _ in one.step]
+        for index in np.flatnonzero(rough):
+            values, here = self._located(start, values, int(index), here, linear)
         if not len(values):
             return FittedSet(start, linear, here, self._nats(here, causes, np.zeros((0, 0))))
         low, high, step = (np.concatenate([getattr(one, each) for one in causes]) for each in ("low", "high", "step"))
@@ -207,6 +210,23 @@ class Oracle:
         here = self._evaluate(final, linear)
         _, information = self._slope(start, values, here, linear, high, step)
         return FittedSet(final, linear, here, self._nats(here, causes, information))
+
+    def _located(
+        self, start: Values, values: np.ndarray, index: int, here: Evaluation, linear: Linearised
+    ) -> tuple[np.ndarray, Evaluation]:
+        """Return parameters (P,) of which one was moved to where it is likeliest, by ever smaller steps."""
+        causes = [self.causes[name] for name in start]
+        low, high, step = (np.concatenate([getattr(one, each) for one in causes]) for each in ("low", "high", "step"))
+        for size in step[index] * 0.4 ** np.arange(-2, 5):
+            for sign in (1.0, -1.0):
+                while True:
+                    moved = values.copy()
+                    moved[index] = np.clip(values[index] + sign * size, low[index], high[index])
+                    there = self._evaluate(self._named(start, moved), linear)
+                    if there.nats.sum() <= here.nats.sum():
+                        break
+                    values, here = moved, there
+        return values, here
 
     def _nats(self, here: Evaluation, causes: Sequence[SupposedCause], information: np.ndarray) -> float:
         """Return the log of a set's posterior probability, by Laplace's method over uniform priors."""

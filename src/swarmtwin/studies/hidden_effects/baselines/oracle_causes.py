@@ -28,6 +28,7 @@ class SupposedCause:
         scaled: which parameter is the effect's size, for which 0 beyond `nothing` is none; None where it cannot be
             scaled up from a small one.
         nothing: the value of that parameter at which there is no effect.
+        is_rough: whether the likelihood jumps, wherever a command is on the other side of a threshold.
     """
 
     name: str
@@ -38,6 +39,7 @@ class SupposedCause:
     tried: tuple[np.ndarray, ...]
     scaled: int | None
     nothing: float
+    is_rough: bool = False
 
     def effects(self, values: np.ndarray, robot: Robot, vehicles: int) -> Sequence[Effect]:
         """Return the stand-in's effect with these parameters (P,); none where no motion's mean changes."""
@@ -100,6 +102,7 @@ def _one(
         tuple(np.array([value]) for value in tried),
         None if nothing is None else 0,
         nothing or 0.0,
+        name == "dead_band",
     )
 
 
