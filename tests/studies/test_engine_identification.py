@@ -19,7 +19,7 @@ from swarmtwin.studies.stand_in_recording import record
 needs_toolbox = pytest.mark.skipif(not is_identification_available(), reason="mujoco[sysid] is not installed")
 
 
-def identification(robot, *entries, runs=8, steps=12, **options):
+def identification(robot, *entries, runs=8, steps=8, **options):
     session = StandInSession(robot, ("3",), runs, steps, 5, parse_effects(entries, robot, 1), **options)
     return EngineIdentification.of(*record(session, drive=drive_rigid_session))
 
