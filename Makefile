@@ -1,16 +1,17 @@
 # The two commands of a fresh machine: `make run` and `make test`. Everything lives in .venv/, artifacts/ and mlflow.db.
 PYTHON ?= python3
 BIN := .venv/bin
-PIP := $(BIN)/pip --disable-pip-version-check install --quiet
+PIP := $(BIN)/pip --disable-pip-version-check install --quiet --no-compile
 export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 
-.PHONY: help setup run test benchmark lint ui data notebooks dependencies lock queue fuzz kill demo faults
+.PHONY: help setup run test claims benchmark lint ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
+	@echo "make claims     test the diagnosis's stated rates on many drawn sessions"
 	@echo "make lint       set up, check style and types"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
@@ -94,7 +95,10 @@ kill: setup  # commands that die at random moments, and are called again; likewi
 
 test: setup
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/pytest -n 2 --dist worksteal -m "not benchmark_figures" --nbmake tests notebooks
+	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims" --nbmake tests notebooks
+
+claims: setup
+	$(BIN)/pytest -n 2 --dist worksteal -m claims tests
 
 benchmark: setup
 	$(BIN)/pytest -m benchmark_figures -s tests/benchmarks

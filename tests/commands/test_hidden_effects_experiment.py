@@ -1,12 +1,14 @@
 """`swarmtwin experiment name=hidden_effects`: it goes on where it was interrupted, and writes all tables."""
 
 import json
+import sys
 
 import pandas as pd
 import pytest
 
 from case_results import result
 from swarmtwin.studies.hidden_effects.metrics import Proportion
+from swarmtwin.studies.hidden_effects.results import TrueModelAnswer
 
 STUDY = "swarmtwin.studies.hidden_effects.study"
 EXPERIMENT = (
@@ -18,7 +20,7 @@ EXPERIMENT = (
 def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swarmtwin, workshop, monkeypatch):
     asked = []
 
-    def examined(case, with_baselines):
+    def examined(case, with_baselines, with_true_model):
         if len(asked) == 7 and "again" not in asked:
             raise KeyboardInterrupt
         asked.append(case.key)
@@ -51,6 +53,36 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
     assert "2/2 (34.2–100.0 %)" in (folder / "report.md").read_text()
 
 
+def test_the_first_sessions_of_each_kind_are_judged_with_the_true_model(swarmtwin, workshop, monkeypatch):
+    asked = {}
+
+    def examined(case, with_baselines, with_true_model):
+        asked[case.key] = with_true_model
+        answer = TrueModelAnswer(method="oracle", causes={name: {} for name in case.true_names}, seconds=60.0)
+        planted = result(case.kind, case.about, robot=case.robot, true_model=answer if with_true_model else None)
+        return planted.model_copy(update={"case": case})
+
+    monkeypatch.setattr(f"{STUDY}.score_case", examined)
+    answer = swarmtwin(*EXPERIMENT, "true_model.quick=0.5", "output=study")
+    assert answer.status == 0, answer.error
+    drawn = list(asked.values())
+    assert drawn == [True, False, True, True, False, False] * 2
+    assert "what nobody can do much better" in answer.shown
+    report = (workshop / "study" / "report.md").read_text()
+    assert "| formulas: oracle | 3 | – | – | – | 1 of 1 | – | – | 0 of 2 | – | 60.0, 60.0 | 0 of 3 |" in report
+    assert "| formulas: diagnosis | 3 | – | – | – | 0 of 1 | – | – | 0 of 2 | – | 5.0, 5.0 | 0 of 3 |" in report
+
+
+def test_a_rigid_body_without_its_toolbox_is_refused_with_what_to_install(swarmtwin, workshop, monkeypatch):
+    pytest.importorskip("mujoco")
+    monkeypatch.setitem(sys.modules, "mujoco.sysid", None)
+    options = ("families=[rigid_body]", "true_model.quick=1", "output=study")
+    answer = swarmtwin(*(one for one in EXPERIMENT if not one.startswith("families")), *options)
+    assert answer.status == 2
+    assert "pip install 'mujoco[sysid]>=4.0.0,<5'" in answer.error
+    assert len(answer.error.strip().splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -58,6 +90,7 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
         (["robots=[mrg]"], "robots: no such robot"),
         (["kinds=[tow]"], "kinds: no such kind: 'tow': did you mean 'two'?"),
         (["families=[formula]"], "families: no such family: 'formula': did you mean 'formulas'?"),
+        (["true_model.quick=2"], "options: field 'true_model.quick'"),
         (["count.quick.two=-1"], "options: field 'count.quick.two'"),
         (["count.quick.two=0", "count.quick.clean=0"], "no session is left"),
     ],

@@ -39,6 +39,7 @@ def limits(base):
     return {limit.cause: limit for limit in detection_limits(explained(base, as_simulated, 100))}
 
 
+@pytest.mark.claims
 def test_an_effect_at_its_limit_is_named_nine_times_of_ten(base, limits):
     gain = limits["gain_change"].value
     assert 1.001 < gain < 1.05

@@ -188,6 +188,7 @@ def each_run_its_own(factor, spread, seed):
     return moved
 
 
+@pytest.mark.claims
 @pytest.mark.parametrize("run_spread", [0.0, 0.03])
 def test_intervals_cover_as_often_as_they_say_also_where_runs_differ(robots, run_spread):
     """As reported; fewer than the binomial distribution's 1 % point refute 95 %."""

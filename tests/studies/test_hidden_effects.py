@@ -15,10 +15,12 @@ from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
 from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     HeldOutGain,
+    TrueModelAnswer,
     append_result,
     read_results,
     results_table,
 )
+from swarmtwin.studies.hidden_effects.study import ScoringJob
 from swarmtwin.studies.hidden_effects.tables import study_tables
 
 
@@ -187,6 +189,49 @@ def test_other_methods_are_counted_on_the_same_cases():
     assert formulas(results)["gain"]["diagnosis"] == pytest.approx(0.9)
     text = "\n".join(table.markdown() for table in study_tables(summary))
     assert "| parameter fitting | 50.0% (1/2) | 0.0% (0/2) | 100.0% (1/1) | – |" in text
+
+
+def test_what_the_true_model_says_is_counted_beside_the_diagnosis_on_the_same_cases_alone():
+    planted = {"true_causes": {"gain_change": {"gain": 0.8}}}
+
+    def told(gain, **causes):
+        return TrueModelAnswer(method="oracle", causes={"gain_change": {"gain": gain}, **causes}, seconds=30.0)
+
+    silent = TrueModelAnswer(method="oracle", seconds=10.0)
+    failed = TrueModelAnswer(method="mujoco.sysid", seconds=1.0, failure="ArithmeticError: lost")
+    results = [
+        result("one", "gain_change", ["gain_change"], true_model=told(0.808), **planted),
+        result("one", "gain_change", true_model=told(0.816, saturation={"limit": 90.0}), **planted),
+        result("one", "gain_change", ["gain_change"], **planted),  # not asked of the true model
+        result("outside", "whirl", ["gain_change"], true_model=silent),
+        result("clean", "plain", true_model=told(0.99)),
+        result("one", "gain_change", family="rigid_body", true_model=failed),
+        result("outside", "bowl", family="rigid_body", true_model=failed),
+    ]
+    compared = summarise(results)["true_model"]
+    oracle, diagnosis = compared["formulas"]["oracle"], compared["formulas"]["diagnosis"]
+    assert (oracle["cases"], diagnosis["cases"]) == (4, 4)
+    assert (oracle["one"][CLEAR].count, oracle["one"][CLEAR].total) == (1, 2)
+    assert (diagnosis["one"][CLEAR].count, diagnosis["one"][CLEAR].total) == (1, 2)
+    assert (oracle["outside"].count, diagnosis["outside"].count) == (1, 0)
+    assert (oracle["accused"].count, diagnosis["accused"].count) == (1, 0)
+    assert oracle["median_parameter_error_percent"] == pytest.approx(1.5)
+    assert oracle["seconds"] == {"median": 30.0, "most": 30.0}
+    sysid = compared["rigid_body"]["mujoco.sysid"]
+    assert (sysid["failed"].count, sysid["one"][CLEAR].count, sysid["outside"].count) == (2, 0, 0)
+    text = "\n".join(table.markdown() for table in study_tables(summarise(results)))
+    assert "| formulas: oracle | 4 | – | – | 1 of 2 | – | – | 1 of 1 | 1 of 1 | 1.5 % | 30.0, 30.0 | 0 of 4 |" in text
+    assert summarise(results[2:3])["true_model"] == {}
+
+
+def test_a_result_without_what_is_now_asked_for_is_not_taken_again():
+    without = result("one", "gain_change")
+    answer = TrueModelAnswer(method="oracle", seconds=1.0)
+    job = ScoringJob(without.case, with_baselines=False, with_true_model=True)
+    assert not job.is_answered_by(without)
+    assert job.is_answered_by(without.model_copy(update={"true_model": answer}))
+    assert ScoringJob(without.case, with_baselines=False, with_true_model=False).is_answered_by(without)
+    assert not ScoringJob(without.case, with_baselines=True, with_true_model=False).is_answered_by(without)
 
 
 def test_bounds_are_those_of_the_books():

@@ -63,7 +63,8 @@ def diagnose(
     dependences = tests.run(model, model.evaluate([]))
 
     # 3. Causes
-    explained = explanation(model, find_causes(reference, model, progress))
+    found = find_causes(reference, model, progress)
+    explained = explanation(model, found, lambda: usual_noise_log(reference))
 
     # 4. Finding
     _tell(progress, "what is left")
@@ -159,6 +160,11 @@ def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> flo
     own = reference.own_part(reference.settings.search.most_transitions)
     points = lossy[0].initial_points(own.robot, own.session.conditions)
     return float(estimate(own, [lossy[0].at(points[0])]).values[0])
+
+
+def usual_noise_log(reference: Reference) -> float:
+    """Return by which factor the reference's own motion is as random as its noise says, its log, measured likewise."""
+    return reference.own_part(reference.settings.search.most_transitions).motion_noise_log()[0]
 
 
 def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:

@@ -81,8 +81,17 @@ def gains(before: Errors, after: Errors, run: np.ndarray, draws: int, rng: np.ra
 
 
 def likelihood_gain(unfitted: SessionLikelihood, extended: Simulation, draws: int, rng: np.random.Generator) -> Gain:
-    """Compare how unlikely a held-out transition is without and with mechanisms: negative log-likelihood, nats."""
-    before, after = (-unfitted.evaluate(mechanisms).log_likelihood for mechanisms in ((), extended.mechanisms))
+    """Compare how unlikely a held-out transition is without and with mechanisms: negative log-likelihood, nats.
+
+    Sessions of one robot differ in their noise, so that it is taken from the held-out runs themselves; but where the
+    extension says how random the motion is, it is held to that, and to the reference's noise without it.
+    """
+    mechanisms, factor = extended.mechanisms, extended.noise_factor
+    if factor == 1.0:
+        before, after = (-unfitted.evaluate(taken).log_likelihood for taken in ((), mechanisms))
+    else:
+        taken_with = (((), 1.0), (mechanisms, factor))
+        before, after = (-unfitted.log_likelihood_with_motion_noise(*taken) for taken in taken_with)
     return _gain(before, after, unfitted.session.run, draws, rng)
 
 

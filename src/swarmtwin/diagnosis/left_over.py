@@ -1,6 +1,6 @@
 """Step 3, its end: what causes explain of what can be explained at all, and whether the motion is more random."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class MotionNoiseChange(NamedTuple):
     Attributes:
         factor: on its standard deviation.
         low: of the 95 % interval.
-        high: of it.
+        high: of it, what sessions of one robot differ by included.
         probability: that this is a cause, and no difference that two sessions of one robot have.
     """
 
@@ -105,8 +105,16 @@ class Explanation:
         return tuple(one for one in self.best.mechanisms if one.name in self.names)
 
 
-def explanation(model: SessionLikelihood, posterior: CausePosterior) -> Explanation:
-    """Look at what the best causes leave of a session."""
+def explanation(
+    model: SessionLikelihood, posterior: CausePosterior, usual_noise_log: Callable[[], float] = lambda: 0.0
+) -> Explanation:
+    """Look at what the best causes leave of a session.
+
+    Args:
+        model: of the fitted runs.
+        posterior: over sets of causes.
+        usual_noise_log: measures the reference's own motion like the session's: the log of the factor on its noise.
+    """
     refined = model.explained_by(posterior.best.mechanisms)
     best = estimate(refined, posterior.best.mechanisms, polish=True)
     nothing = refined.evaluate([])
@@ -116,7 +124,7 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior) -> Explanat
         best,
         best.fitted.total - nothing.total,
         _nats_left(refined, best),
-        _motion_noise(refined, best.mechanisms),
+        _motion_noise(refined, best.mechanisms, usual_noise_log),
     )
 
 
@@ -131,18 +139,25 @@ def _nats_left(model: SessionLikelihood, best: EstimatedSet) -> float:
     return float((after - before).sum())
 
 
-def _motion_noise(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> MotionNoiseChange:
+def _motion_noise(
+    model: SessionLikelihood, mechanisms: Sequence[Mechanism], usual_log: Callable[[], float]
+) -> MotionNoiseChange:
     """Compare the motion's noise with the reference's; normal priors on the log of the factor, a narrow and a wide."""
     settings = model.settings.motion_noise
     log, error = model.motion_noise_log()
     usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
-    narrow = float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_of_usual(model.motion)))
-    odds = model.settings.search.prior / (1 - model.settings.search.prior)
-    wide_log, narrow_log = (
-        stats.norm.logpdf(log, 0.0, np.hypot(error, spread)) for spread in (settings.changed_spread, narrow)
-    )
-    probability = float(special.expit(wide_log - narrow_log + np.log(odds)))
-    low, high = np.exp(log + np.array([-1.96, 1.96]) * error)
-    return MotionNoiseChange(float(np.exp(log)), float(low), float(high), probability)
+    narrow = float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_from_usual(model.motion)))
+
+    def change(log: float) -> MotionNoiseChange:
+        odds = model.settings.search.prior / (1 - model.settings.search.prior)
+        wide_log, narrow_log = (
+            stats.norm.logpdf(log, 0.0, np.hypot(error, spread)) for spread in (settings.changed_spread, narrow)
+        )
+        probability = float(special.expit(wide_log - narrow_log + np.log(odds)))
+        low, high = np.exp(log + np.array([-1.96, 1.96]) * np.hypot(error, narrow))
+        return MotionNoiseChange(float(np.exp(log)), float(low), float(high), probability)
+
+    found = change(log)
+    return change(log - usual_log()) if found.probability >= 0.5 else found

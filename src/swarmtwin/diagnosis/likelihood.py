@@ -6,7 +6,7 @@ reference leaves open of the simulation, how units differ, smooth discrepancies,
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -186,6 +186,16 @@ class SessionLikelihood(SessionErrors):
         return FittedMechanisms(
             tuple(mechanisms), log_likelihood, whitened, residual, scale, penalty, effect_errors, is_lost
         )
+
+    def log_likelihood_with_motion_noise(self, mechanisms: Sequence[Mechanism], factor: float) -> np.ndarray:
+        """Return (N,) the log-likelihood of each transition where the motion is `factor` times as random.
+
+        That is, as the reference's, on its standard deviation; the camera's noise is that of the session.
+        """
+        left = self.errors_left(mechanisms) - self.evaluate(mechanisms).effect_errors
+        scales = replace(self.noise_scales, motion=factor**2)
+        prepared = self.reference_noise.scaled(scales).filter(self.motion, self.session)
+        return log_density(prepared(left[..., None])[..., 0], self.noise.degrees_of_freedom) - prepared.log_volume
 
     def _scale(self, residual: np.ndarray, rounds: int = 5) -> np.ndarray:
         """Return (3,) the likeliest spread of residuals (N, 3), with its prior."""

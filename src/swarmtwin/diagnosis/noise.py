@@ -109,10 +109,10 @@ class Noise:
         at_end: np.ndarray = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
         return at_end
 
-    def log_of_usual(self, twist: np.ndarray) -> float:
-        """Return the log of the motion's standard deviation at twists (N, 3) over that of the reference's motion."""
-        ratio = (_size(twist, self.usual).mean(axis=0) @ self.growth.T) / self.growth.sum(axis=1)
-        return float(np.log(ratio[[0, 2]]).mean() / 2)
+    def log_from_usual(self, twist: np.ndarray) -> float:
+        """Return how far the log of the way and turn in twists (N, 3) is from the reference's, root mean square."""
+        moved = np.maximum(np.sqrt((twist[:, [0, 2]] ** 2).mean(axis=0)), 1e-6)
+        return float(np.sqrt((np.log(moved / self.usual) ** 2).mean()))
 
     def spread(self, twist: np.ndarray) -> np.ndarray:
         """Return standard deviations (N, 3) of single errors at twists (N, 3)."""

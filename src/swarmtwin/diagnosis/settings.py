@@ -194,15 +194,15 @@ class MotionNoiseSettings(StrictModel):
         usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact.
         usual_spread_with_momentum: likewise of a simulation that goes on from its own velocity: what that gets wrong
             lasts for some periods, and is told from the noise of motion and camera only so well.
-        growth_spread: likewise for each unit of the log by which noise is expected to be smaller or larger than the
-            reference's, since vehicles move less or more: how it grows is known only so well.
+        growth_spread: likewise for each unit of the log by which vehicles move less or more than in the reference:
+            noise grows as a power of the motion that lies between 0 and 1, uniform there, whatever else was learned.
         changed_spread: where this is a cause.
     """
 
     usual_spread: Positive = 0.03
     usual_spread_beside: Positive = 0.15
     usual_spread_with_momentum: Positive = 0.3
-    growth_spread: Positive = 0.1
+    growth_spread: Positive = 0.3
     changed_spread: Positive = 0.7
 
 

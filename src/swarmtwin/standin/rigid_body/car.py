@@ -75,18 +75,25 @@ class Car(Machine):
         self._gain = float(np.prod([effect.gain for effect in effects if isinstance(effect, GainChange)]))
         supplying = [effect for effect in effects if not isinstance(effect, GainChange)]
         self.supply = ActiveEffects(self.conditions.robot, supplying)
-        self._factor = fabricate("mgr/rigid_body", self.vehicles, self.spreads)
-        self._motor_constant = self._sides("motor") * self.motor_constant
-        self._viscous = (self._motor_constant * self.gear) ** 2 / self.resistance
-        self._track = self._factor["track"] * self.track
+        self.factor = fabricate("mgr/rigid_body", self.vehicles, self.spreads)
+
+    @property
+    def _viscous(self) -> np.ndarray:
+        """Torque that each motor's own speed takes from its wheel, N·m·s/rad, (2, 1, V)."""
+        return (self._sides("motor") * self.motor_constant * self.gear) ** 2 / self.resistance
+
+    @property
+    def _track(self) -> np.ndarray:
+        """Distance between the wheels' contacts, m, (V,)."""
+        return self.factor["track"] * self.track
 
     def _sides(self, name: str) -> np.ndarray:
         """Return the factors (2, 1, V) of left and right."""
-        return np.stack([self._factor[f"left_{name}"], self._factor[f"right_{name}"]])[:, None]
+        return np.stack([self.factor[f"left_{name}"], self.factor[f"right_{name}"]])[:, None]
 
     def describe(self, vehicle: int) -> str:
         """Describe the floor, the body with its caster, and both drives."""
-        of = {name: float(factor[vehicle]) for name, factor in self._factor.items()}
+        of = {name: float(factor[vehicle]) for name, factor in self.factor.items()}
         x_m_s, y_m_s = np.array(self.carrying_mm_s) / 1000
         drives = [self._describe_drive(side, vehicle) for side in ("left", "right")]
         bodies, plays, motors = ("".join(parts) for parts in zip(*drives, strict=True))
@@ -112,12 +119,12 @@ class Car(Machine):
 
     def _describe_drive(self, side: str, vehicle: int) -> tuple[str, str, str]:
         """Describe the wheel on one side, with its gear where there is play, the play, and the motor."""
-        of = {name: float(self._factor[f"{side}_{name}"][vehicle]) for name in ("motor", "radius", "friction")}
+        of = {name: float(self.factor[f"{side}_{name}"][vehicle]) for name in ("motor", "radius", "friction")}
         radius = self.wheel_radius * of["radius"] * self._gain
         motor_constant = self.motor_constant * of["motor"]
         left = float(self._track[vehicle]) / 2 * (1 if side == "left" else -1)
         gear_friction, wheel_friction = self.gear_friction * of["friction"], self.wheel_friction * of["friction"]
-        inertia = self.rotor_inertia * float(self._factor["rotor"][vehicle])
+        inertia = self.rotor_inertia * float(self.factor["rotor"][vehicle])
         inertia += self.conditions.lag_s * motor_constant**2 / self.resistance
         gear, play = "", ""
         driven = f"{side}_gear" if self.conditions.backlash else side

@@ -3,13 +3,13 @@
 import copy
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import wrap_angle
+from swarmtwin.geometry import rotate, wrap_angle
 from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.effects.steady_drift import SteadyDrift
@@ -67,10 +67,12 @@ class Machine(ABC):
         outlier_share: share of poses that the camera measures worse.
         outlier_factor: by how much worse.
         supply: the effects that change what the actuators are supplied with.
+        factor: of each property that differs by fabrication, over what is on the drawing, (V,).
         settling_steps: time steps until what is put on the floor has come to rest.
     """
 
     supply: ActiveEffects
+    factor: dict[str, np.ndarray]
     command_columns: ClassVar[tuple[str, ...]]
     resting_command: ClassVar[tuple[float, ...]]
     steps: ClassVar[int]
@@ -136,6 +138,21 @@ class Machine(ABC):
     def controls(self, target: np.ndarray, moment: Moment) -> np.ndarray:
         """Return the engine's controls (R, V, steps, controls) for targets (targets, steps, R, V) of a piece."""
 
+    def altered(self, factors: Mapping[str, float], effects: Sequence[Effect] = ()) -> Self:
+        """Return the same units with properties multiplied: of fabrication, or any number that describes the body.
+
+        Raises:
+            UserError: an effect means nothing to such a body.
+        """
+        conditions = ActiveEffects(self.conditions.robot, effects, self.conditions.character)
+        other = type(self)(self.vehicles, conditions, self.time_step_s * self.steps)
+        for name, factor in factors.items():
+            if name in self.factor:
+                other.factor[name] = self.factor[name] * factor
+            else:
+                setattr(other, name, getattr(self, name) * factor)
+        return other
+
     def put(self, pose: np.ndarray) -> np.ndarray:
         """Put the vehicles down at poses (R, V, 3) and return their states.
 
@@ -184,6 +201,20 @@ class Machine(ABC):
             self._vehicles.rollout(per_piece, control.reshape(-1, *control.shape[2:]))
             state = self._state(state[:3])
         return state
+
+    def carried_to(self, pose: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Return the states (states, R, V) after vehicles were carried to poses (R, V, 3), moving on as they did.
+
+        `state` is what `put` or `advance` returned last; velocities stay as they are, seen from the vehicle.
+        """
+        heading_rad = state[2]
+        position, velocity = (joints.copy() for joints in self._joints())
+        back = np.stack([np.zeros(self._shape), np.zeros(self._shape), -heading_rad], axis=-1)
+        position = self.at_pose(pose, self.at_pose(back, position))
+        velocity[..., :2] = rotate(velocity[..., :2], pose[..., 2] - heading_rad)
+        self._vehicles.bind("qpos")[:] = position.reshape(-1, position.shape[-1])
+        self._vehicles.bind("qvel")[:] = velocity.reshape(-1, velocity.shape[-1])
+        return self._state(np.moveaxis(pose, -1, 0))
 
     def _keep_time(self, step_s: np.ndarray) -> None:
         """Give each run the time step (R, 1) that fits its period."""

@@ -68,11 +68,11 @@ class Swimmer(Machine):
 
     def __init__(self, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self._factor = fabricate("mur/rigid_body", self.vehicles, self.spreads)
+        self.factor = fabricate("mur/rigid_body", self.vehicles, self.spreads)
 
     def describe(self, vehicle: int) -> str:
         """Describe pool, hull and fin."""
-        of = {name: float(factor[vehicle]) for name, factor in self._factor.items()}
+        of = {name: float(factor[vehicle]) for name, factor in self.factor.items()}
         x_m_s, y_m_s = np.array(self.carrying_mm_s) / 1000
         arena = self.conditions.robot.arena_mm
         walls = "".join(
@@ -168,7 +168,7 @@ class Swimmer(Machine):
         control[..., 1:] = np.moveaxis(forces, 0, -1)[..., None, :]
         step_s = moment.piece_s / steps
         settling = 1.0 - np.exp(-step_s / (self.setting_s + self.conditions.lag_s))
-        trim_rad = self._factor["trim"] - 1.0 + self.conditions.trim_rad
+        trim_rad = self.factor["trim"] - 1.0 + self.conditions.trim_rad
         for step in range(steps):
             self._setting = self._setting + (target[:, step] - self._setting) * settling
             mean_rad, amplitude_rad, frequency_rad_s = self._setting

@@ -8,7 +8,13 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from swarmtwin.robot import StrictModel
-from swarmtwin.studies.hidden_effects.results import Result, confidences_table, parameters_table, results_table
+from swarmtwin.studies.hidden_effects.results import (
+    Result,
+    confidences_table,
+    parameters_table,
+    results_table,
+    true_model_parameters_table,
+)
 from swarmtwin.world.rollout import Rate
 
 RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % or more": (10.0, float("inf"))}
@@ -96,7 +102,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
     Over all families: `cases`, `failed`, `outside_by_effect`, `clean_by_variety`, and of the methods that name causes,
     on the same cases, `methods`: `named_first` and `exact` of single effects that raise the error by 10 % or more,
-    `accused` of clean sessions, and `outside`, those outside the catalogue to which no name was given.
+    `accused` of clean sessions, and `outside`, those outside the catalogue to which no name was given. `true_model`: of
+    each family what is made of it with the true model in hand and, on the same cases, by the diagnosis.
     """
     table = _judged(results_table(results))
     parameters, confidences = parameters_table(results), confidences_table(results)
@@ -112,6 +119,11 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         "outside_by_effect": _of_each(outside, "about", _silence),
         "clean_by_variety": _of_each(clean, "about", lambda own: _proportions(own, ALARMS)),
         "methods": _methods(table),
+        "true_model": _of_each(
+            table[table.true_model_method != ""],
+            "family",
+            lambda own: _beside_true_model(own, parameters, true_model_parameters_table(results)),
+        ),
     }
 
 
@@ -238,6 +250,38 @@ def _methods(table: pd.DataFrame) -> dict[str, Proportions]:
                 "outside": Proportion.of(cases[named][cases.kind == "outside"] == ""),
             }
     return methods
+
+
+def _beside_true_model(
+    table: pd.DataFrame, said: pd.DataFrame, said_by_true_model: pd.DataFrame
+) -> dict[str, dict[str, Any]]:
+    """Compare the diagnosis with what has the true model, on one family's cases that both worked on."""
+    method = str(table.true_model_method.iloc[0])
+    ways = {"diagnosis": ("", said), method: ("true_model", said_by_true_model)}
+    compared: dict[str, dict[str, Any]] = {}
+    for name, (way, parameters) in ways.items():
+        is_own = parameters.seed.isin(table.seed) & (parameters.family == table.family.iloc[0])
+        own = pd.DataFrame(
+            {
+                "kind": table.kind,
+                "rise_percent": table.rise_percent,
+                "exact": table[f"{way}_exact" if way else "exact"].astype(bool),
+                "named": table[way or "named"] != "",
+                "failed": table[f"{way}_failure" if way else "failure"].notna(),
+            }
+        )
+        one, outside, clean = (own[own.kind == kind] for kind in ("one", "outside", "clean"))
+        compared[name] = {
+            "cases": len(own),
+            "one": {bin_name: Proportion.of(one.exact[in_rise_bin(one, bin_name)]) for bin_name in RISE_BINS},
+            **{kind: Proportion.of(own.exact[own.kind == kind]) for kind in ("two", "three")},
+            "outside": Proportion.of(~outside.named & ~outside.failed),
+            "accused": Proportion.of(clean.named),
+            "failed": Proportion.of(own.failed),
+            "median_parameter_error_percent": _median(parameters.error_percent[is_own]),
+            "seconds": _median_and_most(table[f"{way}_seconds" if way else "seconds"]),
+        }
+    return compared
 
 
 def _median(values: pd.Series) -> float | None:

@@ -1,9 +1,9 @@
 """What came of each case: a line in a file that an interrupted study continues, and the tables made of all of them."""
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -50,6 +50,23 @@ class Baselines(StrictModel):
     black_box: HeldOutGain
 
 
+class TrueModelAnswer(StrictModel):
+    """What is made of the same case with the true model in hand.
+
+    Attributes:
+        method: `oracle`, the true likelihood of all that may hide; on the rigid body, whose likelihood nobody knows,
+            `mujoco.sysid`, with the true model and all its parameters free.
+        causes: that it names, with their parameters.
+        seconds: that it took.
+        failure: why it failed; null where it did not.
+    """
+
+    method: Literal["oracle", "mujoco.sysid"]
+    causes: dict[str, dict[str, float]] = Field(default_factory=dict)
+    seconds: float
+    failure: str | None = None
+
+
 class Result(StrictModel):
     """What came of a case.
 
@@ -66,6 +83,7 @@ class Result(StrictModel):
         depends_on: what the residual depended on.
         gained: by the extended simulation.
         baselines: null where they were left out.
+        true_model: what is made of it with the true model in hand; null where that was left out.
         seconds: that the diagnosis took, given the reference.
         learning_seconds: that the reference took to learn.
         memory_mb: the most memory that the process had while it learned the reference and diagnosed. All three are null
@@ -84,6 +102,7 @@ class Result(StrictModel):
     depends_on: tuple[str, ...] = ()
     gained: HeldOutGain | None = None
     baselines: Baselines | None = None
+    true_model: TrueModelAnswer | None = None
     seconds: float | None = None
     learning_seconds: float | None = None
     memory_mb: float | None = None
@@ -99,6 +118,7 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         exact: the causes named are the true ones, all of them and no other.
         falsely_named: a cause is named that is not there.
         fitting_first, fitting_exact, rule_first: likewise of the other methods.
+        true_model, true_model_exact, true_model_seconds: likewise of what has the true model: `true_model_method`.
     """
     return pd.DataFrame([_row(result) for result in results])
 
@@ -133,6 +153,7 @@ def _row(result: Result) -> dict[str, Any]:
         "rule": "+".join(rule),
         "rule_first": rule == true,
         **{f"black_box_{name}": getattr(black_box, name, None) for name in ("after_mm", "share", "share_to_floor")},
+        **_row_of_true_model(result),
         "same_vehicle": result.same_vehicle,
         "transitions": result.transitions,
         "effects": json.dumps(result.effects),
@@ -144,6 +165,20 @@ def _row(result: Result) -> dict[str, Any]:
     }
 
 
+def _row_of_true_model(result: Result) -> dict[str, Any]:
+    answer = result.true_model
+    if answer is None:
+        return {"true_model_method": ""}
+    return {
+        "true_model_method": answer.method,
+        "true_model": "+".join(answer.causes),
+        "true_model_exact": answer.failure is None and sorted(answer.causes) == sorted(result.case.true_names),
+        "true_model_parameters": json.dumps(answer.causes),
+        "true_model_seconds": answer.seconds,
+        "true_model_failure": answer.failure,
+    }
+
+
 def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     """Return one row a parameter of a cause that was named and true, with its error in several measures.
 
@@ -151,30 +186,53 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
     `covered` says whether the 95 % interval holds the true value.
     """
-    about, said = ["family", "robot", "kind", "seed", "cause", "name", "true"], list(Estimate.model_fields)
-    table = pd.DataFrame([row for result in results for row in _parameters(result)], columns=[*about, *said])
+    table = _with_errors([row for result in results for row in _parameters(result)], list(Estimate.model_fields))
+    table["covered"] = table.true.between(table.low, table.high)
+    return table
+
+
+def true_model_parameters_table(results: Sequence[Result]) -> pd.DataFrame:
+    """Return likewise one row a parameter that was found with the true model in hand; there are no intervals."""
+    rows = [
+        row
+        for result in results
+        if result.true_model
+        for name, parameters in result.true_model.causes.items()
+        for row in _beside_truth(result, name, {key: {"value": one} for key, one in parameters.items()})
+    ]
+    return _with_errors(rows, ["value"])
+
+
+def _with_errors(rows: list[dict[str, Any]], said: list[str]) -> pd.DataFrame:
+    """Return a table of parameters with their errors in several measures."""
+    table = pd.DataFrame(rows, columns=["family", "robot", "kind", "seed", "cause", "name", "true", *said])
     true = table.true.astype(float)
     has_size = ~table.name.isin(["angle_rad", "direction_rad", "x_mm", "y_mm", "forward_mm", "left_mm"]) & (true != 0)
     is_factor = table.name.isin(["gain", "scale", "ratio", "factor"])
     table["error"] = (table.value - true).abs()
     table["error_percent"] = 100 * (table.error / true.abs()).where(has_size)
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
-    table["covered"] = table.true.between(table.low, table.high)
     return table
 
 
 def _parameters(result: Result) -> Iterator[dict[str, Any]]:
     """Return what is said of the parameters of the causes that are true, beside what they are."""
-    case = result.case
     for cause in result.causes:
-        for name, estimate in cause.parameters.items():
-            true = result.true_causes.get(cause.name, {}).get(name)
-            if true is None:
-                continue
-            if name == "direction_rad":  # the same direction, as near to what is said as it can be told
-                true = estimate.value + float(wrap_angle(np.array(true - estimate.value)))
-            about = {"family": case.family, "robot": case.robot, "kind": case.kind, "seed": case.seed}
-            yield {**about, "cause": cause.name, "name": name, "true": true, **estimate.model_dump()}
+        said = {name: estimate.model_dump() for name, estimate in cause.parameters.items()}
+        yield from _beside_truth(result, cause.name, said)
+
+
+def _beside_truth(result: Result, cause: str, said: Mapping[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Return what is said of each parameter of a cause, its `value` among it, beside what is true of it."""
+    case = result.case
+    for name, estimate in said.items():
+        true = result.true_causes.get(cause, {}).get(name)
+        if true is None:
+            continue
+        if name == "direction_rad":  # the same direction, as near to what is said as it can be told
+            true = estimate["value"] + float(wrap_angle(np.array(true - estimate["value"])))
+        about = {"family": case.family, "robot": case.robot, "kind": case.kind, "seed": case.seed}
+        yield {**about, "cause": cause, "name": name, "true": true, **estimate}
 
 
 def confidences_table(results: Sequence[Result]) -> pd.DataFrame:

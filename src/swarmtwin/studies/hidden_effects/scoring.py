@@ -15,6 +15,7 @@ from swarmtwin.recordings.recording import Recording
 from swarmtwin.studies.hidden_effects.baselines.black_box import learned_residual
 from swarmtwin.studies.hidden_effects.baselines.correlation_rules import suggested_cause
 from swarmtwin.studies.hidden_effects.baselines.parameter_fitting import fitted_causes
+from swarmtwin.studies.hidden_effects.baselines.true_model import true_model_answer
 from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
 from swarmtwin.studies.hidden_effects.results import Baselines, HeldOutGain, Result
@@ -69,8 +70,8 @@ def diagnosis_of(reference: Recording, measured: Recording, seed: int) -> Diagno
     return Diagnosis(learned, diagnosed, ready - start, time.perf_counter() - ready, peak_mb())
 
 
-def score_case(case: Case, with_baselines: bool) -> Result:
-    """Record a case, diagnose it and compare what is said with what is true."""
+def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Result:
+    """Record a case, diagnose it and compare what is said with what is true, and with what the true model would say."""
     reference, measured, truth = record_session(case)
     result = Result(
         case=case,
@@ -79,6 +80,7 @@ def score_case(case: Case, with_baselines: bool) -> Result:
         rise_percent=truth.rise_percent,
         same_vehicle=truth.same_vehicle,
         transitions=len(truth.measured.transitions),
+        true_model=true_model_answer(truth) if with_true_model else None,
     )
     try:
         diagnosis = diagnosis_of(reference, measured, case.seed)

@@ -6,8 +6,10 @@ wrong: on several families of stand-ins, each session with a reference of its ow
 
 import json
 import logging
+import math
 import shutil
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +26,7 @@ from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.learning.progress_bars import quieter
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.standin.session import require_stand_in
+from swarmtwin.studies.hidden_effects.baselines.engine_identification import load_identification
 from swarmtwin.studies.hidden_effects.cases import KINDS, Case, Kind, cases
 from swarmtwin.studies.hidden_effects.detection_plots import (
     calibration_figure,
@@ -68,6 +71,13 @@ class Scales(StrictModel):
     full: SessionCounts
 
 
+class Shares(StrictModel):
+    """On which share of the sessions of each kind in each family, the first ones, the true model works as well."""
+
+    quick: Annotated[float, Field(ge=0, le=1)]
+    full: Annotated[float, Field(ge=0, le=1)]
+
+
 class Lengths(StrictModel):
     """How long recordings are: runs of a usual session, transitions in its runs, and runs of its reference."""
 
@@ -87,6 +97,7 @@ class Options(StrictModel):
     robots: Words
     lengths: Lengths
     baselines: bool
+    true_model: Shares
     processes: Annotated[int, Field(ge=1)] | None
     seed: Seed
     output: Path
@@ -105,6 +116,21 @@ class Options(StrictModel):
             for kind in self._chosen_kinds()
             for case in cases(family, kind, counts[kind], self.seed, self.robots, **self.lengths.model_dump())
         ]
+
+    def jobs(self) -> list["ScoringJob"]:
+        """Return the cases with what is to be done with each.
+
+        Raises:
+            UserError: as of `drawn_cases`, or the toolbox that the rigid body is compared with is missing.
+        """
+        share, jobs = getattr(self.true_model, self.scale), []
+        for _, own in groupby(self.drawn_cases(), key=lambda case: (case.family, case.kind)):
+            drawn = list(own)
+            first = math.ceil(share * len(drawn))
+            jobs += [ScoringJob(case, self.baselines, number < first) for number, case in enumerate(drawn)]
+        if any(job.with_true_model and job.case.family == "rigid_body" for job in jobs):
+            load_identification()
+        return jobs
 
     def _chosen_families(self) -> tuple[Family, ...]:
         if self.families is None:
@@ -131,15 +157,22 @@ class ScoringJob:
     Attributes:
         case: the session.
         with_baselines: whether the other methods work on it as well.
+        with_true_model: whether the method that has the true model does.
     """
 
     case: Case
     with_baselines: bool
+    with_true_model: bool
+
+    def is_answered_by(self, result: Result) -> bool:
+        """Return whether a result of the case holds all that is asked for."""
+        lacks_baselines = self.with_baselines and result.baselines is None and result.failure is None
+        return not lacks_baselines and not (self.with_true_model and result.true_model is None)
 
     def run(self, report: Report | None) -> None:
         """Score the case; its result is reported as soon as it is there."""
         with one_thread(), quieter("swarmtwin.transitions", logging.WARNING):
-            result = score_case(self.case, self.with_baselines)
+            result = score_case(self.case, self.with_baselines, self.with_true_model)
         if report:
             report(result)
 
@@ -148,21 +181,22 @@ def run(options: Options) -> dict[str, Any]:
     """Draw the cases, diagnose each, count, save tables and figures, show the most important ones; return them.
 
     Raises:
-        UserError: a robot without a stand-in, an unknown kind or family of sessions, or the output is taken.
+        UserError: a robot without a stand-in, an unknown kind or family of sessions, something that is not installed,
+            or the output is taken.
     """
     settings = options.model_dump(mode="json")
     check_output(options.output, "experiment", options.overwrite)
     for name in dict.fromkeys(options.robots):
         require_stand_in(Robot.load(config_folder() / "robot" / f"{name}.yaml"))
-    drawn = options.drawn_cases()
-    if not drawn:
+    jobs = options.jobs()
+    if not jobs:
         raise UserError(f"no session is left: give more in count.{options.scale}, kinds=[...] or families=[...]")
     with (
         new_folder(options.output, "experiment", settings, options.overwrite, resumable=True) as folder,
         tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked,
     ):
         file = folder / CHECKPOINTS / "results.jsonl"
-        results = _results(options, drawn, file)
+        results = _results(jobs, file, options.processes)
         shutil.copy(file, folder)
         summary = summarise(results)
         _save(folder, results, summary)
@@ -175,21 +209,23 @@ def run(options: Options) -> dict[str, Any]:
     return {**_tracked(summary), "output": str(options.output)}
 
 
-def _results(options: Options, drawn: list[Case], file: Path) -> list[Result]:
+def _results(jobs: list[ScoringJob], file: Path, processes: int | None) -> list[Result]:
     """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
-    known = read_results(file, drawn)
+    found = read_results(file, [job.case for job in jobs])
+    asked = {job.case.key: job for job in jobs}
+    known = {key: result for key, result in found.items() if asked[key].is_answered_by(result)}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("sessions diagnosed", total=len(drawn), completed=len(known))
+        task = bar.add_task("sessions diagnosed", total=len(jobs), completed=len(known))
 
         def keep(result: Result) -> None:
             append_result(file, result)
             known[result.case.key] = result
             bar.advance(task)
 
-        missing = [ScoringJob(case, options.baselines) for case in drawn if case.key not in known]
-        run_side_by_side(missing, keep, options.processes)
-    return [known[case.key] for case in drawn]
+        missing = [job for job in jobs if job.case.key not in known]
+        run_side_by_side(missing, keep, processes)
+    return [known[job.case.key] for job in jobs]
 
 
 def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:

@@ -79,6 +79,35 @@ def study_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
             ("method", "named first", "and no other", "clean accused", "outside: no name"),
             [[name, *map(str, own.values())] for name, own in summary["methods"].items()],
         )
+    if summary["true_model"]:
+        yield _true_model_table(summary)
+
+
+def _true_model_table(summary: dict[str, Any]) -> StudyTable:
+    """Return what the true model makes of the same sessions: how far a diagnosis could come."""
+    return StudyTable(
+        "With the true model in hand, on the same sessions: what nobody can do much better",
+        (
+            "family: method",
+            "sessions",
+            *(f"one, {name}: exact" for name in RISE_BINS),
+            *("two: exact", "three: exact", "outside: no name", "clean accused", "parameters: median error"),
+            *("seconds: median, most", "failed"),
+        ),
+        [
+            [
+                f"{family}: {method}",
+                str(own["cases"]),
+                *(_few(share) for share in own["one"].values()),
+                *(_few(own[kind]) for kind in ("two", "three", "outside", "accused")),
+                _percent(own["median_parameter_error_percent"], 1.0),
+                _both(own["seconds"], ".1f"),
+                _few(own["failed"]),
+            ]
+            for family, methods in summary["true_model"].items()
+            for method, own in methods.items()
+        ],
+    )
 
 
 def _marks_table(summary: dict[str, Any]) -> StudyTable:
