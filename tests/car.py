@@ -5,7 +5,7 @@ import torch
 
 from swarmtwin.dynamics.models.kinematic import Config as Kinematic
 from swarmtwin.dynamics.predictor import NetworkDynamics
-from swarmtwin.geometry import wrap_angle
+from swarmtwin.geometry import compose, wrap_angle
 from swarmtwin.recordings.recording import Header, Recording, Track
 from swarmtwin.robot import Arena
 
@@ -74,8 +74,10 @@ def commands(robot, steps, rng):
     return np.array(rows[:steps])
 
 
-def recording(robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car", late_s=0.0, **changed):
-    """Runs that begin at rest; noise of the camera, a standard deviation each in mm, mm, rad.
+def recording(
+    robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car", late_s=0.0, scattered=False, **changed
+):
+    """Runs that begin at rest, at the origin or scattered; noise of the camera, a standard deviation in mm, mm, rad.
 
     With `changed` values the car is another one than the planted one.
     """
@@ -84,6 +86,8 @@ def recording(robot, runs, steps=60, noise=(1.5, 1.5, 0.004), seed=0, name="car"
     for run in range(runs):
         command = commands(robot, steps, rng)
         pose = driven(command, robot.period_s, late_s=late_s, planted=planted)
+        if scattered:
+            pose = compose(rng.uniform([-6000, -6000, -3], [6000, 6000, 3]), pose)
         pose = pose + rng.normal(0, 1, (steps + 1, 3)) * noise
         pose[:, 2] = wrap_angle(pose[:, 2])
         time_s = 20.0 * run + robot.period_s * np.arange(steps + 1)
