@@ -62,13 +62,13 @@ def really(request, robots):
 
 
 def test_whole_runs_are_predicted(really, planted_car):
-    """Over six seconds: within 25 mm, of which a late command, that acts by its mean over the period, leaves most."""
+    """Over six seconds: of a late command half is left, as what was in force before the first one is not known."""
     recording, mechanism = really
     extended, alone = (
         open_loop(Simulation(planted_car, mechanisms), recording.tracks) for mechanisms in ([mechanism], [])
     )
     wrong, wrong_alone = (np.mean([run.rmse_mm for run in runs]) for runs in (extended, alone))
-    assert wrong < 25
+    assert wrong < (45 if mechanism.latency_s() else 15)
     assert wrong < (0.5 if mechanism.latency_s() else 0.15) * wrong_alone
 
 
@@ -113,5 +113,5 @@ def test_a_session_is_predicted_as_the_simulation_steps(robots, planted_car):
     predictor = SessionPredictor(planted_car, session.conditions, session.situation, session.follows)
     wrong = (predictor.twist(mechanisms) - session.twist).abs().numpy()
     alone = (predictor.twist(()) - session.twist).abs().numpy()
-    late_enough = np.tile(np.arange(1, 60), 3) > 40
+    late_enough = np.tile(np.arange(2, 60), 3) > 40
     assert wrong[late_enough].max() < 0.05 < 3 < alone[late_enough].max()

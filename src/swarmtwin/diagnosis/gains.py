@@ -51,7 +51,10 @@ def scored_tracks(measured: Recording, believable: Transitions, scored: Transiti
         if len(rows):
             chosen = np.zeros(len(track), dtype=bool)
             chosen[rows] = True
-            chosen[_rows_before(track, believable).min()] = True
+            first = int(_rows_before(track, believable).min())
+            chosen[first] = True
+            if "velocity" in believable.robot.situation:  # it is known from there on
+                chosen[first + 1] = True
             tracks.append(dataclasses.replace(track, pose=np.where(chosen[:, None], track.pose, np.nan)))
     return tracks
 

@@ -1,4 +1,7 @@
-"""Open loop: a whole run predicted from its first pose and its commands alone (paper, section 4.3, figure 13)."""
+"""Open loop: a whole run predicted from its first pose and its commands alone (paper, section 4.3, figure 13).
+
+A simulation that looks at velocity begins with the first measured one, at the second pose: a run may begin in motion.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,7 +10,7 @@ import numpy as np
 import torch
 
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import displacement_between
+from swarmtwin.geometry import displacement_between, log_map
 from swarmtwin.recordings.recording import Track
 from swarmtwin.recordings.rows import at_most
 from swarmtwin.simulation.simulation import Simulation
@@ -20,8 +23,9 @@ class OpenLoop(NamedTuple):
 
     Attributes:
         track: what was measured.
-        predicted: (T, 3) x_mm, y_mm, heading_rad: the measured pose at the first row that has one and predictions after
-            it; NaN before it, and beyond the first gap or missing command.
+        predicted: (T, 3) x_mm, y_mm, heading_rad: the measured pose at the row that it is predicted from, the first
+            that has one or the one after, and predictions after it; NaN before it, and beyond the first gap or missing
+            command.
         rmse_mm: over the predicted rows whose pose was measured, the first one left out; NaN if there are none.
     """
 
@@ -46,7 +50,7 @@ def rmse_mm(predicted: np.ndarray, measured: np.ndarray) -> float:
 
 
 def open_loop(simulation: Simulation, tracks: Sequence[Track]) -> list[OpenLoop]:
-    """Predict whole runs, all at once, by stepping the simulation from each run's first known pose.
+    """Predict whole runs, all at once, by stepping the simulation from each run's first known pose, or second one.
 
     A run is predicted until a command is missing or the next row is further away than the robot's `longest_gap_s`. A
     simulation that looks at neighbours sees those tracks of the same run that are among `tracks` where they are
@@ -55,6 +59,8 @@ def open_loop(simulation: Simulation, tracks: Sequence[Track]) -> list[OpenLoop]
     if not tracks:
         return []
     parts = [_predictable_rows(track, simulation.robot.longest_gap_s) for track in tracks]
+    if "velocity" in simulation.inputs:
+        parts = [_from_second_pose(track, part) for track, part in zip(tracks, parts, strict=True)]
     rows = _Rows.of(tracks, parts)
     moments = rows.moments() if "neighbours" in simulation.inputs else None
     pose = np.concatenate([track.pose for track in tracks])
@@ -76,11 +82,28 @@ def open_loop(simulation: Simulation, tracks: Sequence[Track]) -> list[OpenLoop]
 
 
 def _started(simulation: Simulation, rows: "_Rows", pose: np.ndarray) -> State:
-    """Put one vehicle a track, each in a world of its own, where its prediction begins; at rest, its past not known."""
+    """Put one vehicle a track, each in a world of its own, where its prediction begins; at rest, its past not known.
+
+    Where the simulation looks at velocity, with that of the period before, if it was measured.
+    """
     first = rows.first_step()
     measured = torch.as_tensor(np.nan_to_num(pose[first]))
     elapsed_s = torch.as_tensor(rows.time_s[first])[:, None]
-    return simulation.start(simulation.from_measured(measured)[:, None], elapsed_s)
+    true = simulation.from_measured(measured)[:, None]
+    if "velocity" not in simulation.inputs:
+        return simulation.start(true, elapsed_s)
+    before = np.maximum(first - 1, 0)
+    known = (rows.track[before] == rows.track[first]) & (before < first)
+    moved = log_map(displacement_between(pose[before], pose[first]))
+    lasted_s = np.where(known, rows.time_s[first] - rows.time_s[before], 1.0)
+    velocity = np.where(known[:, None], np.nan_to_num(moved / lasted_s[:, None]), 0.0)
+    previous = np.where(known[:, None], rows.command[before], np.nan)
+    return simulation.start(
+        true,
+        elapsed_s,
+        velocity=torch.as_tensor(velocity)[:, None],
+        previous_command=torch.as_tensor(previous)[:, None],
+    )
 
 
 def summary(runs: Sequence[OpenLoop]) -> OpenLoopFigure:
@@ -169,6 +192,12 @@ def _predictable_rows(track: Track, longest_gap_s: float) -> range:
     passable = np.isfinite(track.command[:-1]).all(axis=1) & at_most(np.diff(track.time_s), longest_gap_s)
     obstacles = np.flatnonzero(~passable[start:])
     return range(start, start + int(obstacles[0]) if len(obstacles) else len(track) - 1)
+
+
+def _from_second_pose(track: Track, part: range) -> range:
+    """Return the same rows without the first one, if a pose was measured at its end."""
+    second = part.start + 1
+    return range(second, part.stop) if second in part and np.isfinite(track.pose[second]).all() else part
 
 
 def _compared(track: Track, part: range, pose: np.ndarray) -> OpenLoop:

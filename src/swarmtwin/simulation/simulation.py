@@ -73,14 +73,24 @@ class Simulation(nn.Module):
         late = late_or_gradual(self.mechanisms)
         return [mechanism for mechanism in self.mechanisms if mechanism not in late]
 
-    def start(self, pose: Tensor, elapsed_s: float | Tensor | None = None, rng: torch.Generator | None = None) -> State:
-        """Put vehicles down at rest; what they were commanded before is not known.
+    def start(
+        self,
+        pose: Tensor,
+        elapsed_s: float | Tensor | None = None,
+        rng: torch.Generator | None = None,
+        velocity: Tensor | None = None,
+        previous_command: Tensor | None = None,
+    ) -> State:
+        """Put vehicles down.
 
         Args:
             pose: (W, K, 3) true poses of K vehicles in each of W worlds.
             elapsed_s: time since the session began, one number or (W, K). None: 0, or where `rng` is given and the
                 simulation ages, a moment of the session, the same for all vehicles of a world.
             rng: draws that moment.
+            velocity: (W, K, 3) forward_mm_s, left_mm_s, turn_rad_s, measured, of a dynamics model that looks at it;
+                None: they are at rest.
+            previous_command: (W, K, m) in force before; NaN or None: not known.
         """
         pose = torch.as_tensor(pose, dtype=torch.float64)
         pose = torch.cat([pose[..., :2], wrap_angle(pose[..., 2:])], dim=-1)
@@ -92,14 +102,18 @@ class Simulation(nn.Module):
                 elapsed_s = (drawn * self.conditions.session_s).expand(shape)
         elapsed_s = torch.as_tensor(elapsed_s, dtype=torch.float64).expand(shape).clone()
         unknown = torch.full((*shape, len(self.robot.command)), torch.nan, dtype=torch.float64, device=pose.device)
-        state = State(pose, elapsed_s, unknown, unknown, torch.zeros_like(pose))
+        velocity = torch.zeros_like(pose) if velocity is None else torch.as_tensor(velocity, dtype=torch.float64)
+        previous = unknown if previous_command is None else torch.as_tensor(previous_command, dtype=torch.float64)
+        state = State(pose, elapsed_s, previous, unknown, velocity)
         if not self.is_extended:
             return state
-        at_rest = self.command_at_rest.expand(pose.shape[0] * pose.shape[1], -1)
-        twists = self._twists(self._moment(state, None, None), [at_rest] * 3)
+        held = self._known(previous, self.command_at_rest.expand_as(previous)).flatten(0, 1)
+        twists = self._twists(self._moment(state, None, None), [held] * 3)
         if twists.has_momentum:
+            own = self._from_own_velocity(twists, self.to_measured(twists.moment.pose)).velocity
+            assert own is not None
             memory = remembered_after_long(self._at_once, twists, 0)
-            memory |= InForce.at_rest(twists.setting(0)).memory() | {OWN_VELOCITY: state.velocity.flatten(0, 1)}
+            memory |= InForce.at_rest(twists.setting(0)).memory() | {OWN_VELOCITY: own}
         else:
             memory = remembered_after_long(self.mechanisms, twists, 0)
         return replace(state, memory=_unflattened(memory, shape))
