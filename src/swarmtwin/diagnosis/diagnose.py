@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from swarmtwin.diagnosis.cause_report import reported_causes
+from swarmtwin.diagnosis.cause_report import leading_sets, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
 from swarmtwin.diagnosis.detection_limits import detection_limits
@@ -75,14 +75,14 @@ def diagnose(
     tracks = scored_tracks(measured, believable, scored)
     errors = Errors.of(simulation, scored, tracks)
     extended_errors = _errors_of(extended, session, scored, tracks) if extended else errors
-    plan, drive = next_recording(reference, explained, seed)
     gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
-    objection = None
+    objection, unfitted = None, reference.likelihood_of(session.where(held_out))
     if extended:
-        unfitted = reference.likelihood_of(session.where(held_out))
         likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
         objection = not_confirmed(gain, likelihood, settings.immaterial)
     named = reported_causes(explained, rng)
+    limits = detection_limits(explained, unfitted)
+    plan, drive = next_recording(explained, limits, seed)
     result = DiagnosisResult(
         verdict="unexplained" if objection else explained.verdict,
         causes=() if objection else named,
@@ -97,7 +97,8 @@ def diagnose(
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
-        detection_limits=detection_limits(explained),
+        detection_limits=tuple(one.limit for one in limits),
+        posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         seed=seed,
     )
     whole = reference.likelihood_of(session).explained_by(explained.best.mechanisms)
