@@ -89,11 +89,11 @@ def page_of(session, folder):
 def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     diagnosis = made_result(causes=(DELAY, YAW))
     page = page_of(made_session(diagnosis, moved_late), tmp_path)
-    assert page.above.split(" simulation ", 1)[1].startswith(
-        "The robot departs from the simulation because commands act 0.15 s late (or it is actuator lag) – check network, "
-        "broker and camera for latency; and because the marker is turned by −5.7° on the vehicle – glue the marker on "
-        "straight, or enter its angle."
-    )
+    assert (
+        "The robot departs from the simulation because commands act 0.15 s late (or it is actuator lag) – check "
+        "network, broker and camera for latency; and because the marker is turned by −5.7° on the vehicle – glue the "
+        "marker on straight, or enter its angle."
+    ) in page.above
     for said in (
         "Command delay : commands act 0.15 s (0.13 to 0.17) late.",
         "Marker yaw : the marker is turned by −5.7° (−6.9 to −4.6) on the vehicle.",
