@@ -59,10 +59,12 @@ def detection_limits(
     offers = kinds or offered(model.robot, model.session.conditions)
     kinds = {name: kind for name, kind in offers.items() if model.can_show(kind)}
     beside_all = _Limits(explained, best.mechanisms, unfitted)
-    found = beside_all.run(kinds, [name for name in kinds if name not in best.names])
+    rivals = candidates(model, best.fitted, kinds)
+    found = beside_all.of_moving(rivals, rivals)
     for name in best.names:
         others = [one for one in best.mechanisms if one.name != name]
-        found += _Limits(explained, others, unfitted).run(kinds, [name])
+        own = candidates(model, model.evaluate(others), {name: kinds[name]})
+        found += _Limits(explained, others, unfitted).of_moving(own, rivals)
     found += [FoundLimit(beside_all.of_loss(kind)) for kind in kinds.values() if loses_commands([kind])]
     found += [FoundLimit(noise_limit(explained, beside_all.power))] if "noise_change" in kinds else []
     return tuple(sorted(found, key=lambda one: one.limit.cause))
@@ -80,7 +82,6 @@ class _Limits:
     ) -> None:
         self.model, self.power = explained.model, float(stats.norm.ppf(power))
         self.around = Surroundings(self.model, beside)
-        self.fitted = self.model.evaluate(beside)
         settings = self.model.settings.search
         searched = len(explained.posterior.nothing.fitted.residual)
         self.share_searched = searched / len(self.model.session)
@@ -89,19 +90,19 @@ class _Limits:
         if unfitted:
             self._error = unfitted.errors(self.around.arriving) + unfitted.correction
 
-    def run(self, kinds: Mapping[str, MechanismClass], names: Sequence[str]) -> list[FoundLimit]:
-        """Return the limits of the causes of some names, all kinds being their rivals."""
-        known = [one for one in candidates(self.model, self.fitted, kinds) if np.any(one.columns)]
+    def of_moving(self, found: Sequence[Candidate], rivals: Sequence[Candidate]) -> list[FoundLimit]:
+        """Return the limits of causes, each at the point of its grid at which it shows best, beside their rivals."""
         clearest: dict[str, tuple[float, SizedCause]] = {}
-        for one in known:
-            if one.off and one.name in names:
+        for one in found:
+            if one.off and np.any(one.columns):
                 cause = SizedCause.of(one, self.model)
                 size = self._proportional_size(one)
                 share = size / cause.parameter.size
                 if one.name not in clearest or share < clearest[one.name][0] / clearest[one.name][1].parameter.size:
                     clearest[one.name] = size, cause
+        moving = [rival for rival in rivals if np.any(rival.columns)]
         return [
-            self._limit(name, cause, size, [rival for rival in known if rival.name != name])
+            self._limit(name, cause, size, [rival for rival in moving if rival.name != name])
             for name, (size, cause) in clearest.items()
         ]
 
@@ -122,8 +123,10 @@ class _Limits:
         size, slope = min(size, cause.largest), -1.0
         known: list[tuple[float, float]] = []
         rival: Mechanism | None = None
-        for _ in range(rounds):
-            factor, rival = self._wanted(cause.at(size), rivals)
+        for number in range(rounds):
+            if number < 2:  # it hardly changes with the size
+                price = self.around.price(cause.at(size))
+            factor, rival = self._wanted(cause.at(size), price, rivals)
             if size == cause.largest and factor > 1:
                 return FoundLimit(_reported(name, cause, None), cause.at(size), rival)
             known.append((math.log(size), math.log(min(factor, 1e3))))
@@ -134,12 +137,14 @@ class _Limits:
             size = min(math.exp(known[-1][0] - known[-1][1] / min(max(slope, -4.0), -0.5)), cause.largest)
         return FoundLimit(_reported(name, cause, size, rival), cause.at(size), rival)
 
-    def _wanted(self, mechanism: Mechanism, rivals: Sequence[Candidate]) -> tuple[float, Mechanism | None]:
+    def _wanted(
+        self, mechanism: Mechanism, price: float, rivals: Sequence[Candidate]
+    ) -> tuple[float, Mechanism | None]:
         """Return how many times as much a cause must show to be named, and what it is taken for if it shows less."""
         change = self.around.change(mechanism)
         length = math.sqrt(max(float(self.around.inner(change[:, None], change[:, None])[0, 0]), 1e-12))
         whole = math.sqrt(self.share_searched)
-        seen = (math.sqrt(2 * (self.needed + self.around.price(mechanism))) + self.power) / (whole * length)
+        seen = (math.sqrt(2 * (self.needed + price)) + self.power) / (whole * length)
         rival, apart = self._nearest(change, rivals)
         told = 2 * self.power / (whole * apart)
         confirmed = 0.0

@@ -6,8 +6,9 @@
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
    them leaves (`left_over`).
-4. Finding: causes as they are reported, gains on held-out runs, the smallest effects that the session would have shown,
-   the next recording (`cause_report`, `gains`, `detection_limits`, `next_recording`, `result`; pictures in `report/`).
+4. Finding: causes as they are reported and the leading sets, gains on held-out runs, the smallest effects that the
+   session would have shown, the next recording (`cause_report`, `gains`, `detection_limits` with `sized_causes` and
+   `random_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,6 @@
 """Step 4. How much smaller errors are with an extension than without, on runs that nothing was fitted to."""
 
+import bisect
 import dataclasses
 
 import numpy as np
@@ -128,18 +129,20 @@ def confirmed_from(error: np.ndarray, change: np.ndarray, run: np.ndarray, power
         run: (N,) of each transition.
         power: probability.
     """
-    known = _sizes(error)
-    wanted = float(stats.norm.ppf(0.975) + stats.norm.ppf(power))
-    for factor in np.geomspace(0.01, 1000, 116):  # a tenth apart
+    known, wanted = _sizes(error), float(stats.norm.ppf(0.975) + stats.norm.ppf(power))
+    _, number = np.unique(run, return_inverse=True)
+
+    def is_confirmed(factor: float) -> bool:
         rises = [_sizes(error + sign * factor * change) - known for sign in (1, -1)]  # chance alone goes either way
         mean = np.mean(rises, axis=(0, 1))
-        _, number = np.unique(run, return_inverse=True)
         by_run = np.zeros((int(number.max()) + 1, 2))
         np.add.at(by_run, number, rises[0] - rises[0].mean(axis=0))
         spread = np.sqrt((by_run**2).sum(axis=0)) / len(run)
-        if np.any((mean > wanted * spread) & (mean > 0)):
-            return float(factor)
-    return float("inf")
+        return bool(np.any((mean > wanted * spread) & (mean > 0)))
+
+    factors = np.geomspace(0.01, 1000, 117)  # a tenth apart
+    first = bisect.bisect_left(range(len(factors)), True, key=lambda index: is_confirmed(float(factors[index])))
+    return float(factors[first]) if first < len(factors) else float("inf")
 
 
 def _sizes(error: np.ndarray) -> np.ndarray:

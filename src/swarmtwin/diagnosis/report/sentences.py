@@ -9,6 +9,7 @@ from swarmtwin.diagnosis.result import Cause, DetectionLimit, DiagnosisResult, E
 from swarmtwin.simulation.mechanism import mechanism_class
 
 SPACE = "\N{NO-BREAK SPACE}"
+DASH = f"{SPACE}– "
 SHARES = ("loss", "probability", "spread")
 UNITS = {"rad": (180 / math.pi, "°"), "deg": (1.0, "°"), "": (1.0, "")}
 PARTS = {
@@ -109,16 +110,16 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
     """Return in one plain sentence what is wrong and what to do."""
     if diagnosis.verdict == "no_gap":
         return "Nothing is wrong: the robot does what the simulation says, within its ordinary noise; go on with it."
-    found = [f"{wrong} – {remedy}" for wrong, remedy in _wrong_and_to_do(diagnosis.causes)]
+    found = [f"{wrong}{DASH}{remedy}" for wrong, remedy in _wrong_and_to_do(diagnosis.causes)]
     because = enumeration(found, "; ", "; and because ")
     if diagnosis.verdict == "explained":
         return f"The robot departs from the simulation because {because}."
     if diagnosis.causes:
         return (
             f"The robot departs from the simulation, partly because {because}; something else is wrong that has no "
-            f"name – {_look_at(diagnosis)}."
+            f"name{DASH}{_look_at(diagnosis)}."
         )
-    return f"The robot departs from the simulation, and no known cause explains it – {_look_at(diagnosis)}."
+    return f"The robot departs from the simulation, and no known cause explains it{DASH}{_look_at(diagnosis)}."
 
 
 def _look_at(diagnosis: DiagnosisResult) -> str:
