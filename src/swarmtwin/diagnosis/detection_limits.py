@@ -88,7 +88,9 @@ class _Limits:
         self.needed = needed_nats(settings, searched) + math.log(settings.named_from / (1 - settings.named_from))
         self.unfitted = unfitted
         if unfitted:
-            self._error = unfitted.errors(self.around.arriving) + unfitted.correction
+            arriving = Surroundings.arriving_of(explained.best.mechanisms)
+            self._error = unfitted.errors(arriving) + unfitted.correction
+            self._without = unfitted.errors(self.around.arriving)
 
     def of_moving(self, found: Sequence[Candidate], rivals: Sequence[Candidate]) -> list[FoundLimit]:
         """Return the limits of causes, each at the point of its grid at which it shows best, beside their rivals."""
@@ -142,8 +144,8 @@ class _Limits:
         told = 2 * self.power / (whole * apart)
         confirmed = 0.0
         if self.unfitted:
-            left = self.unfitted.errors([*self.around.arriving, mechanism]) + self.unfitted.correction
-            confirmed = confirmed_from(self._error, left - self._error, self.unfitted.session.run)
+            moved = self.unfitted.errors([*self.around.arriving, mechanism]) - self._without
+            confirmed = confirmed_from(self._error, moved, self.unfitted.session.run)
         return max(seen, told, confirmed), rival if told > max(seen, confirmed) else None
 
     def _nearest(

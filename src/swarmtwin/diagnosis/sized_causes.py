@@ -67,12 +67,17 @@ class Surroundings:
 
     def __init__(self, model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> None:
         self.model = model
-        self.arriving = [one for one in mechanisms if one.arrival_probability() >= 1.0]
+        self.arriving = self.arriving_of(mechanisms)
         self._here = model.whitened(self.arriving)
         slopes, precision = self.slopes(())
         self._slopes = slopes
         own = model.effects.inner(slopes, slopes) + precision
         self._inverse = np.linalg.inv(own)
+
+    @staticmethod
+    def arriving_of(mechanisms: Sequence[Mechanism]) -> list[Mechanism]:
+        """Return the mechanisms under which every command arrives."""
+        return [one for one in mechanisms if one.arrival_probability() >= 1.0]
 
     def change(self, mechanism: Mechanism) -> np.ndarray:
         """Return (3 N,) by what a mechanism changes whitened errors."""
