@@ -14,7 +14,7 @@ from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, lo
 from swarmtwin.diagnosis.random_limits import loss_limit, noise_limit
 from swarmtwin.diagnosis.result import DetectionLimit
 from swarmtwin.diagnosis.screening import Candidate, candidates
-from swarmtwin.diagnosis.sized_causes import SizedCause, Surroundings
+from swarmtwin.diagnosis.sized_causes import Rivals, SizedCause, Surroundings
 from swarmtwin.simulation.mechanism import Mechanism, offered
 
 
@@ -88,7 +88,9 @@ class _Limits:
         self.needed = needed_nats(settings, searched) + math.log(settings.named_from / (1 - settings.named_from))
         self.unfitted = unfitted
         if unfitted:
-            self._error = unfitted.errors(self.around.arriving) + unfitted.correction
+            arriving = Surroundings.arriving_of(explained.best.mechanisms)
+            self._error = unfitted.errors(arriving) + unfitted.correction
+            self._without = unfitted.errors(self.around.arriving)
 
     def of_moving(self, found: Sequence[Candidate], rivals: Sequence[Candidate]) -> list[FoundLimit]:
         """Return the limits of causes, each at the point of its grid at which it shows best, beside their rivals."""
@@ -100,11 +102,8 @@ class _Limits:
                 share = size / cause.parameter.size
                 if one.name not in clearest or share < clearest[one.name][0] / clearest[one.name][1].parameter.size:
                     clearest[one.name] = size, cause
-        moving = [rival for rival in rivals if np.any(rival.columns)]
-        return [
-            self._limit(name, cause, size, [rival for rival in moving if rival.name != name])
-            for name, (size, cause) in clearest.items()
-        ]
+        known = Rivals(self.around, rivals)
+        return [self._limit(name, cause, size, known) for name, (size, cause) in clearest.items()]
 
     def of_loss(self, kind: MechanismClass) -> DetectionLimit:
         """Return the limit of a mechanism that loses commands."""
@@ -116,9 +115,7 @@ class _Limits:
         length = math.sqrt(max(float(self.around.inner(first, first)[0, 0]), 1e-12))
         return (math.sqrt(2 * self.needed) + self.power) * abs(next(iter(one.off.values()))) / length
 
-    def _limit(
-        self, name: str, cause: SizedCause, size: float, rivals: Sequence[Candidate], rounds: int = 5
-    ) -> FoundLimit:
+    def _limit(self, name: str, cause: SizedCause, size: float, rivals: Rivals, rounds: int = 5) -> FoundLimit:
         """Let a cause grow, or shrink, until it would just be named: by the secant of logarithms."""
         size, slope = min(size, cause.largest), -1.0
         known: list[tuple[float, float]] = []
@@ -137,32 +134,26 @@ class _Limits:
             size = min(math.exp(known[-1][0] - known[-1][1] / min(max(slope, -4.0), -0.5)), cause.largest)
         return FoundLimit(_reported(name, cause, size, rival), cause.at(size), rival)
 
-    def _wanted(
-        self, mechanism: Mechanism, price: float, rivals: Sequence[Candidate]
-    ) -> tuple[float, Mechanism | None]:
+    def _wanted(self, mechanism: Mechanism, price: float, rivals: Rivals) -> tuple[float, Mechanism | None]:
         """Return how many times as much a cause must show to be named, and what it is taken for if it shows less."""
         change = self.around.change(mechanism)
         length = math.sqrt(max(float(self.around.inner(change[:, None], change[:, None])[0, 0]), 1e-12))
         whole = math.sqrt(self.share_searched)
         seen = (math.sqrt(2 * (self.needed + price)) + self.power) / (whole * length)
-        rival, apart = self._nearest(change, rivals)
+        rival, apart = self._nearest(change, mechanism.name, rivals)
         told = 2 * self.power / (whole * apart)
         confirmed = 0.0
         if self.unfitted:
-            left = self.unfitted.errors([*self.around.arriving, mechanism]) + self.unfitted.correction
-            confirmed = confirmed_from(self._error, left - self._error, self.unfitted.session.run)
+            moved = self.unfitted.errors([*self.around.arriving, mechanism]) - self._without
+            confirmed = confirmed_from(self._error, moved, self.unfitted.session.run)
         return max(seen, told, confirmed), rival if told > max(seen, confirmed) else None
 
     def _nearest(
-        self, change: np.ndarray, rivals: Sequence[Candidate], alike: float = 0.7, tried: int = 2
+        self, change: np.ndarray, name: str, rivals: Rivals, alike: float = 0.7, tried: int = 2
     ) -> tuple[Mechanism | None, float]:
         """Return the cause that comes nearest to a change (3 N,), of those that take over most of it, and how near."""
-        best: dict[str, tuple[float, Candidate]] = {}
-        for rival, share in zip(rivals, self.around.likeness(change, rivals), strict=True):
-            if share > alike and (rival.name not in best or share > best[rival.name][0]):
-                best[rival.name] = share, rival
         nearest, least = None, math.inf
-        for _, rival in sorted(best.values(), key=lambda one: -one[0])[:tried]:
+        for rival in rivals.alike(change, name, alike)[:tried]:
             mechanism = self.around.imitation(change, rival)
             apart = self.around.apart(change, mechanism) if mechanism else math.inf
             if apart < least:

@@ -67,12 +67,17 @@ class Surroundings:
 
     def __init__(self, model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> None:
         self.model = model
-        self.arriving = [one for one in mechanisms if one.arrival_probability() >= 1.0]
+        self.arriving = self.arriving_of(mechanisms)
         self._here = model.whitened(self.arriving)
         slopes, precision = self.slopes(())
         self._slopes = slopes
         own = model.effects.inner(slopes, slopes) + precision
         self._inverse = np.linalg.inv(own)
+
+    @staticmethod
+    def arriving_of(mechanisms: Sequence[Mechanism]) -> list[Mechanism]:
+        """Return the mechanisms under which every command arrives."""
+        return [one for one in mechanisms if one.arrival_probability() >= 1.0]
 
     def change(self, mechanism: Mechanism) -> np.ndarray:
         """Return (3 N,) by what a mechanism changes whitened errors."""
@@ -129,16 +134,6 @@ class Surroundings:
                 return None
         return rival.form.at(values)
 
-    def likeness(self, change: np.ndarray, rivals: Sequence[Candidate]) -> np.ndarray:
-        """Return for each rival the share of a change (3 N,) that it would take over, were it as large as need be."""
-        whole = float(self.inner(change[:, None], change[:, None])[0, 0])
-        shares = []
-        for rival in rivals:
-            side = self.inner(rival.columns, change[:, None])[:, 0]
-            factors = np.linalg.lstsq(self.inner(rival.columns, rival.columns), side, rcond=1e-8)[0]
-            shares.append(float(factors @ side) / max(whole, 1e-300))
-        return np.array(shares)
-
     def apart(self, change: np.ndarray, rival: Mechanism) -> float:
         """Return the distance of a change (3 N,) from a rival that may take other values, and another form."""
         model, around = self.model, [*self.arriving, rival]
@@ -150,3 +145,38 @@ class Surroundings:
         gram[1 : 1 + own, 1 : 1 + own] += precision
         taken = float(gram[0, 1:] @ np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=1e-10)[0])
         return math.sqrt(max(float(gram[0, 0]) - taken, 1e-12))
+
+
+class Rivals:
+    """What may be taken for a cause: candidates, all products of whose changes are known.
+
+    Args:
+        around: what is there already.
+        candidates: those that change anything count.
+    """
+
+    def __init__(self, around: Surroundings, candidates: Sequence[Candidate]) -> None:
+        self.around = around
+        self.candidates = [one for one in candidates if np.any(one.columns)]
+        ends = np.cumsum([one.columns.shape[1] for one in self.candidates])
+        self._rows = [
+            np.arange(end - one.columns.shape[1], end) for end, one in zip(ends, self.candidates, strict=True)
+        ]
+        size = 3 * len(around.model.session)
+        self._columns = np.column_stack([np.zeros((size, 0)), *(one.columns for one in self.candidates)])
+        self._gram = around.inner(self._columns, self._columns)
+
+    def alike(self, change: np.ndarray, name: str, least: float) -> list[Candidate]:
+        """Return those of other names that take over a share of a change (3 N,), were they as large as need be.
+
+        The best of each name, the most alike first; at least a share of `least`.
+        """
+        whole = float(self.around.inner(change[:, None], change[:, None])[0, 0])
+        side = self.around.inner(self._columns, change[:, None])[:, 0]
+        best: dict[str, tuple[float, Candidate]] = {}
+        for one, rows in zip(self.candidates, self._rows, strict=True):
+            factors = np.linalg.lstsq(self._gram[np.ix_(rows, rows)], side[rows], rcond=1e-8)[0]
+            share = float(factors @ side[rows]) / max(whole, 1e-300)
+            if one.name != name and share > max(least, best[one.name][0] if one.name in best else 0.0):
+                best[one.name] = share, one
+        return [one for _, one in sorted(best.values(), key=lambda pair: -pair[0])]
