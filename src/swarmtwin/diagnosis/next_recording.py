@@ -121,14 +121,13 @@ class _Drive:
 
     @classmethod
     def of(
-        cls, base: DynamicsModel, noise: Noise, conditions: SessionConditions, command: np.ndarray, steps: int
+        cls, base: DynamicsModel, noise: Noise, conditions: SessionConditions, situation: Situation, steps: int
     ) -> Self:
-        """Drive the simulation alone by commands, in runs of so many steps."""
-        situation = _driven(base, conditions, command, steps)
-        before = np.arange(len(command)) - 1
+        """Take situations (P) of the simulation alone, in runs of so many steps."""
+        before = np.arange(len(situation.command)) - 1
         before[::steps] = -1
         predictor = SessionPredictor(base, conditions, situation, before)
-        return cls(predictor, noise.spread(predictor.twist(()).numpy()), command)
+        return cls(predictor, noise.spread(predictor.twist(()).numpy()), situation.command.numpy())
 
     def ways(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return (3 P,) where mechanisms lead, in units of the noise."""
@@ -175,7 +174,8 @@ def _left_apart(apart: np.ndarray, slopes: np.ndarray, known: np.ndarray) -> flo
 def _drives(model: SessionLikelihood, seed: int) -> list[_Drive]:
     settings, base, conditions = model.settings.next_recording, model.predictor.base, model.session.conditions
     commands = _commands(model.robot, settings, np.random.default_rng(seed))
-    return [_Drive.of(base, model.reference_noise, conditions, command, settings.steps) for command in commands]
+    situations = _driven(base, conditions, commands, settings.steps)
+    return [_Drive.of(base, model.reference_noise, conditions, one, settings.steps) for one in situations]
 
 
 def _record_command(robot: Robot, runs: int, steps: int) -> str:
@@ -194,26 +194,41 @@ def _commands(robot: Robot, settings: NextRecordingSettings, rng: np.random.Gene
     return [np.round(command, 3) for command in (uniform, held, extremes, long_held, small)]
 
 
-def _driven(base: DynamicsModel, conditions: SessionConditions, command: np.ndarray, steps: int) -> Situation:
-    """Drive the simulation open loop from the middle of the arena, back to it after each run; return P situations."""
-    simulation, sent = Simulation(base, (), conditions), torch.as_tensor(command)
-    count = len(sent)
-    previous = torch.cat([sent[:1], sent[:-1]])
-    start = simulation.start(torch.cat([conditions.centre_mm, conditions.centre_mm.new_zeros(1)])[None, None])
-    poses, velocities, state = [], [], start
-    for step in range(count):
-        if step % steps == 0:
-            state = replace(start, previous_command=previous[step][None, None])
-        poses.append(state.pose[0, 0])
-        velocities.append(state.velocity[0, 0])
-        state = simulation.step(state, sent[step][None, None])
-    return Situation(
-        command=sent,
-        previous_command=previous,
-        earlier_command=torch.cat([previous[:1], previous[:-1]]),
-        pose=torch.stack(poses),
-        velocity=torch.stack(velocities),
-        elapsed_s=torch.arange(count).double() / count * conditions.session_s,
-        duration_s=torch.full((count,), simulation.robot.period_s, dtype=torch.float64),
-        neighbours=torch.zeros(count, 0, 3, dtype=torch.float64),
+def _driven(
+    base: DynamicsModel, conditions: SessionConditions, commands: Sequence[np.ndarray], steps: int
+) -> list[Situation]:
+    """Drive the simulation open loop by commands (P, m), each run of so many steps from the middle of the arena.
+
+    All runs of all drives side by side; returns P situations for each drive.
+    """
+    simulation, sent = Simulation(base, (), conditions), torch.as_tensor(np.stack(commands))
+    drives, count, columns = sent.shape
+    previous = torch.cat([sent[:, :1], sent[:, :-1]], dim=1)
+    runs = -(-count // steps)
+    padded, before = (
+        torch.cat([one, one[:, -1:].expand(-1, runs * steps - count, -1)], dim=1).reshape(-1, steps, 1, columns)
+        for one in (sent, previous)
     )
+    middle = torch.cat([conditions.centre_mm, conditions.centre_mm.new_zeros(1)])
+    state = replace(simulation.start(middle.expand(drives * runs, 1, 3)), previous_command=before[:, 0])
+    states = []
+    for step in range(steps):
+        states.append(state)
+        state = simulation.step(state, padded[:, step])
+    pose, velocity = (
+        torch.stack(parts, dim=1).reshape(drives, runs * steps, -1)[:, :count]
+        for parts in ([one.pose for one in states], [one.velocity for one in states])
+    )
+    return [
+        Situation(
+            command=sent[drive],
+            previous_command=previous[drive],
+            earlier_command=torch.cat([previous[drive, :1], previous[drive, :-1]]),
+            pose=pose[drive],
+            velocity=velocity[drive],
+            elapsed_s=torch.arange(count).double() / count * conditions.session_s,
+            duration_s=torch.full((count,), simulation.robot.period_s, dtype=torch.float64),
+            neighbours=torch.zeros(count, 0, 3, dtype=torch.float64),
+        )
+        for drive in range(drives)
+    ]
