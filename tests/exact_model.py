@@ -55,7 +55,7 @@ class LaggingDynamics(ExactDynamics):
 
 
 def conditions_of(robot, **changes):
-    usual = {"wheel": TRACK_MM, "thrust": None}[robot.actuation.kind]
+    usual = TRACK_MM if robot.actuation.kind == "wheel" else None
     content = {"arena_mm": robot.arena_mm, "session_s": SESSION_S, "track_mm": robot.actuation.track_mm or usual}
     return SessionConditions(**{**content, **changes})
 

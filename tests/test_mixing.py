@@ -39,7 +39,7 @@ def synthetic(real):
     transitions, preparation = real
     nothing = {
         name: np.full_like(getattr(transitions, name), np.nan)
-        for name in ("pose", "previous_command", "earlier_command", "time_s")
+        for name in ("pose", "previous_command", "earlier_command", "velocity", "time_s")
     }
     nothing["neighbours"] = np.empty((len(transitions), 0, 3))
     runs = tuple(f"synthetic-{index}" for index in range(len(transitions.runs)))
@@ -83,7 +83,7 @@ def test_a_mixture_is_as_large_as_the_real_data_and_has_their_share(real, synthe
 
 def test_a_mixture_holds_only_what_both_hold_and_every_row_is_one_of_theirs(real, synthetic):
     transitions, _ = mix(real, synthetic, 0.5)
-    for name in ("pose", "previous_command", "earlier_command", "time_s", "neighbours"):
+    for name in ("pose", "previous_command", "earlier_command", "velocity", "time_s", "neighbours"):
         assert np.isnan(getattr(transitions, name)).all()
     assert np.isfinite(real[0].neighbours).all()
     known = {row.tobytes() for row in real[0].displacement}

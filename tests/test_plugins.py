@@ -59,7 +59,7 @@ def test_every_plugin_is_chosen_by_a_file_of_its_group_and_every_file_chooses_on
     if registry.group is None:
         return
     chosen = {yaml.safe_load(file.read_text())[registry.field] for file in config_files(registry.group).values()}
-    without_stand_in = {"create"} if kind.package == "swarmtwin.standin.robots" else set()
+    without_stand_in = {"create", "car"} if kind.package == "swarmtwin.standin.robots" else set()
     assert chosen == set(registry.names()) | without_stand_in
 
 
@@ -136,4 +136,4 @@ def test_configurations_beside_plugins_are_found_as_well(monkeypatch, tmp_path):
         (tmp_path / name / "conf" / "robot" / f"{name}.yaml").touch()
     monkeypatch.setenv("SWARMTWIN_PLUGINS", f"{tmp_path / 'one'}:{tmp_path / 'two'}")
     assert config_folders()[1:] == (tmp_path / "one" / "conf", tmp_path / "two" / "conf")
-    assert {"mgr", "mur", "create", "one", "two"} == set(config_files("robot"))
+    assert {"mgr", "mur", "create", "car", "one", "two"} == set(config_files("robot"))

@@ -147,6 +147,38 @@ def test_a_file_of_an_old_version_has_no_earlier_commands(transitions, tmp_path)
     np.testing.assert_array_equal(loaded.previous_command, transitions.previous_command)
 
 
+def with_momentum(transitions):
+    robot = transitions.robot.model_copy(update={"situation": ("command", "velocity")})
+    return dataclasses.replace(transitions, robot=robot)
+
+
+def test_velocities_are_written_where_the_robot_s_models_are_given_them(transitions, tmp_path):
+    """And nothing else changes: files and digests of other robots are those of earlier versions."""
+    columns = ("velocity_forward_mm_s", "velocity_left_mm_s", "velocity_turn_rad_s")
+    names = {}
+    for name, written in {"without": transitions, "with": with_momentum(transitions)}.items():
+        (tmp_path / name).mkdir()
+        save_transitions(tmp_path / name, written)
+        names[name] = pyarrow.parquet.read_schema(tmp_path / name / "transitions.parquet").names
+        np.testing.assert_array_equal(load_transitions(tmp_path / name).velocity, transitions.velocity)
+    assert set(names["with"]) - set(names["without"]) == set(columns)
+    assert np.isfinite(transitions.velocity).any()
+    halved = {"velocity": transitions.velocity / 2}
+    assert dataclasses.replace(transitions, **halved).digest() == transitions.digest()
+    assert dataclasses.replace(with_momentum(transitions), **halved).digest() != with_momentum(transitions).digest()
+
+
+def test_a_file_of_an_old_version_has_the_velocities_of_its_transitions(transitions, tmp_path):
+    """A robot's file may have come to state velocity since."""
+    save_transitions(tmp_path, with_momentum(transitions))
+    file = tmp_path / "transitions.parquet"
+    table = pyarrow.parquet.read_table(file)
+    own = [name for name in table.column_names if name.startswith("velocity_")]
+    np.testing.assert_array_equal(table.column(own[2]).to_numpy(), transitions.velocity[:, 2])
+    pyarrow.parquet.write_table(table.drop_columns(own), file)
+    np.testing.assert_array_equal(load_transitions(tmp_path).velocity, transitions.velocity)
+
+
 def test_the_arena_is_the_recording_s_own(recording, tmp_path):
     own = Arena(x=(-20, 1400), y=(0, 1200))
     moved = dataclasses.replace(recording, header=recording.header.model_copy(update={"arena_mm": own}))

@@ -5,6 +5,7 @@ import pytest
 import yaml
 
 from swarmtwin.errors import UserError
+from swarmtwin.kinematics import Actuators
 from swarmtwin.robot import Robot
 
 MGR = Path(__file__).resolve().parents[1] / "conf" / "robot" / "mgr.yaml"
@@ -22,8 +23,10 @@ def test_the_shipped_robots_are_those_of_the_design(robots):
         "mgr": [(-120, 120), (-120, 120)],
         "mur": [(-79, 79), (0, 60), (3, 9)],
         "create": [(0, 100), (-0.6, 0.6)],
+        "car": [(-1, 1), (-25, 25)],
     }
-    assert {name: robot.period_s for name, robot in robots.items()} == {"mgr": 0.5, "mur": 0.8, "create": 0.5}
+    periods_s = {"mgr": 0.5, "mur": 0.8, "create": 0.5, "car": 0.1}
+    assert {name: robot.period_s for name, robot in robots.items()} == periods_s
     assert robots["mur"].command_columns == ("mean_angle_deg", "amplitude_deg", "frequency_rad_s")
 
 
@@ -40,6 +43,32 @@ def test_a_robot_of_ones_own_is_one_file(tmp_path):
     link = {"command_topic": "boats/{vehicle}", "fields": fields}
     robot = Robot.load(changed(tmp_path, name="mine", command=command, link=link))
     assert robot.command_columns == ("port", "starboard")
+
+
+def test_a_robot_without_kinematics_works_and_says_what_is_missing_where_they_are_needed(tmp_path):
+    for stated in ({"kinematics": None}, {}):
+        content = yaml.safe_load(MGR.read_text())
+        del content["kinematics"]
+        path = tmp_path / "mine.yaml"
+        path.write_text(yaml.safe_dump({**content, **stated, "actuators": None}))
+        robot = Robot.load(path)
+        assert robot.kinematics is None
+        assert robot.actuation == Actuators(kind="unknown")
+        with pytest.raises(UserError) as error:
+            robot.kinematic_equations()
+        assert str(error.value) == (
+            "robot 'mgr' states no kinematics, and this needs some: name one of bicycle, differential_drive, tail_fin, "
+            "unicycle in conf/robot/mgr.yaml"
+        )
+    stated = Robot.load(changed(tmp_path, kinematics=None, actuators={"kind": "wheel", "effort": ["left", "right"]}))
+    assert stated.actuation.effort == ("left", "right")
+
+
+def test_a_car_is_driven_by_its_first_column_and_steered_by_its_second(robots):
+    unstated = robots["car"].model_copy(update={"actuators": None})
+    assert unstated.actuation == Actuators(kind="wheel", effort=("throttle",), steering="steering_deg")
+    assert robots["car"].actuation == unstated.actuation
+    assert robots["car"].situation == ("command", "velocity")
 
 
 @pytest.mark.parametrize(
@@ -80,7 +109,8 @@ def test_a_wrong_robot_file_is_one_clear_error(tmp_path, changes, message):
 
 
 def test_a_missing_robot_names_those_there_are():
-    with pytest.raises(UserError, match=r"no robot file .*mgrr.yaml: did you mean 'mgr'\? known: create, mgr, mur"):
+    known = "known: car, create, mgr, mur"
+    with pytest.raises(UserError, match=rf"no robot file .*mgrr.yaml: did you mean 'mgr'\? {known}"):
         Robot.load(MGR.with_name("mgrr.yaml"))
 
 

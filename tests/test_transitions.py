@@ -7,9 +7,9 @@ import pytest
 
 from drives import drive, header_of
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import compose
+from swarmtwin.geometry import compose, integrate_twist
 from swarmtwin.recordings.recording import Recording, Track
-from swarmtwin.robot import Arena
+from swarmtwin.robot import Arena, LargestDisplacement
 from swarmtwin.transitions import Transitions, from_recording
 
 STEPS = 20
@@ -119,6 +119,40 @@ def test_a_transition_that_is_dropped_for_its_pose_still_lends_its_command(mgr):
     transitions, _ = transitions_of(mgr, [track])
     rows = [row for row in range(2, STEPS) if row not in (4, 5)]
     np.testing.assert_array_equal(transitions.earlier_command[2:], track.command[np.array(rows) - 2])
+
+
+def test_the_velocity_is_the_twist_of_the_period_before_over_its_length(mgr):
+    """An arc of a quarter turn a second at 100 mm/s: measured over 0.55 s, it is the same twist at its end."""
+    twist = np.array([100.0, 10.0, np.pi / 2])
+    time_s = np.array([0.0, 0.5, 1.05, 1.5])
+    pose = compose(np.array([500.0, 500.0, 2.0]), integrate_twist(twist, 1.0 * time_s[:, None])[:, 0])
+    command = np.array([[10.0, 20.0]] * 3 + [[np.nan, np.nan]])
+    robot = mgr.model_copy(update={"largest_displacement": LargestDisplacement(forward_mm=99, left_mm=99, turn_rad=3)})
+    transitions, _ = transitions_of(robot, [Track("run", "1", time_s, command, pose)])
+    assert np.isnan(transitions.velocity[0]).all()
+    np.testing.assert_allclose(transitions.velocity[1:], [twist, twist], atol=1e-9)
+
+
+def test_the_velocity_is_unknown_where_nothing_believable_ends(mgr):
+    """Nothing before row 0, a gap after row 7, no pose in row 12, no command in row 16, another vehicle's rows."""
+    tracks = [straight_track(mgr, vehicle="1"), straight_track(mgr, vehicle="2", start=(100.0, 900.0, 0.0))]
+    for track in tracks:
+        track.time_s[8:] += 3.0
+        track.pose[12] = np.nan
+        track.command[16] = np.nan
+    transitions, _ = transitions_of(mgr, tracks)
+    rows = np.array([row for row in range(STEPS) if row not in (7, 11, 12, 16)])
+    known = np.isfinite(transitions.velocity).all(axis=1)
+    np.testing.assert_array_equal(known, np.tile(~np.isin(rows, (0, 8, 13, 17)), 2))
+    np.testing.assert_allclose(transitions.velocity[known], [[40.0, 0.0, 0.0]] * known.sum(), atol=1e-9)
+
+
+def test_velocities_go_with_their_transitions(mgr):
+    transitions, _ = transitions_of(mgr, drive(mgr, runs=2, steps=STEPS))
+    some = np.random.default_rng(1).random(len(transitions)) < 0.5
+    np.testing.assert_array_equal(transitions.where(some).velocity, transitions.velocity[some])
+    again = dataclasses.replace(transitions.where(some), velocity=np.empty((0, 3)))
+    assert np.isnan(again.velocity).sum() > np.isnan(transitions.velocity[some]).sum()
 
 
 # ---- reasons

@@ -18,10 +18,11 @@ from swarmtwin.strict_model import Positive, StrictModel
 
 POSE_COLUMNS = ("x_mm", "y_mm", "heading_rad")
 DISPLACEMENT_COLUMNS = ("forward_mm", "left_mm", "turn_rad")
+VELOCITY_COLUMNS = ("velocity_forward_mm_s", "velocity_left_mm_s", "velocity_turn_rad_s")
 RESERVED_COLUMNS = ("time_s", "vehicle", *POSE_COLUMNS)
 
 SituationPart = Literal[
-    "command", "previous_command", "earlier_command", "pose", "elapsed_s", "duration_s", "neighbours"
+    "command", "previous_command", "earlier_command", "pose", "velocity", "elapsed_s", "duration_s", "neighbours"
 ]
 Seed = Annotated[int, Field(ge=0, le=2**32 - 1)]
 
@@ -84,10 +85,12 @@ class Robot(StrictModel):
         command: its columns, in order.
         arena_mm: the usual arena; each recording states its own.
         largest_displacement: the outlier limits of one transition.
-        situation: what its dynamics models are given (the paper: command for the MGR, command and pose for the MUR).
-        kinematics: the file in `kinematics/` that says how a command moves it; fitted, it is a baseline.
+        situation: what its dynamics models are given (the paper: command for the MGR, command and pose for the MUR). A
+            robot that rolls on when its command changes has momentum: it is given its `velocity` as well.
+        kinematics: the file in `kinematics/` that says how a command moves it; fitted, it is a baseline. Null: not
+            known, and there is no such baseline.
         vehicle_size_mm: footprint (length, width), for pictures and collisions.
-        actuators: what moves it; null: as usual for its kinematics.
+        actuators: what moves it; null: as usual for its kinematics, and unknown where these are.
         unit_spread: by which share the actuators of two units of this robot differ (standard deviation), where a lab
             has measured it; null: a diagnosis estimates it from the units of its reference, or takes a generic one.
         link: how it is spoken to; null: it cannot be deployed. Like `marker` it is the lab's and not the model's: what
@@ -103,7 +106,7 @@ class Robot(StrictModel):
     arena_mm: Arena
     largest_displacement: LargestDisplacement
     situation: tuple[SituationPart, ...]
-    kinematics: str
+    kinematics: str | None = None
     vehicle_size_mm: tuple[Positive, Positive]
     actuators: Actuators | None = None
     unit_spread: Annotated[float, Field(gt=0, lt=0.5)] | None = None
@@ -112,8 +115,8 @@ class Robot(StrictModel):
 
     @field_validator("kinematics")
     @classmethod
-    def _known_kinematics(cls, name: str) -> str:
-        if name not in KINEMATICS.names():
+    def _known_kinematics(cls, name: str | None) -> str | None:
+        if name is not None and name not in KINEMATICS.names():
             raise ValueError(f"no such kinematics: {name!r}: {near_miss(name, KINEMATICS.names())}")
         return name
 
@@ -127,7 +130,7 @@ class Robot(StrictModel):
             raise ValueError(f"longest_gap_s {self.longest_gap_s} is shorter than the period {self.period_s}")
         if self.actuators and (unknown := [name for name in self.actuators.columns() if name not in self.command]):
             raise ValueError(f"actuators name {unknown[0]!r}, which is no command column: {', '.join(self.command)}")
-        if len(self.command) != (wanted := self.kinematic_equations().command_size):
+        if self.kinematics and len(self.command) != (wanted := self.kinematic_equations().command_size):
             raise ValueError(
                 f"kinematics {self.kinematics!r} wants {wanted} command columns, not {len(self.command)} "
                 f"({', '.join(self.command)}): correct one of the two"
@@ -162,12 +165,23 @@ class Robot(StrictModel):
         return hash(self.model_dump_json())
 
     def kinematic_equations(self) -> KinematicEquations:
-        """Return the equations that its kinematics names."""
+        """Return the equations that its kinematics names.
+
+        Raises:
+            UserError: it names none.
+        """
+        if self.kinematics is None:
+            raise UserError(
+                f"robot {self.name!r} states no kinematics, and this needs some: name one of "
+                f"{', '.join(KINEMATICS.names())} in conf/robot/{self.name}.yaml"
+            )
         return KINEMATICS.plugin_class(self.kinematics)()
 
     @cached_property
     def actuation(self) -> Actuators:
-        """Its actuators: as stated, and where nothing is, as is usual for its kinematics."""
+        """Its actuators: as stated, and where nothing is, as is usual for its kinematics; unknown without these."""
+        if self.kinematics is None:
+            return self.actuators or Actuators(kind="unknown")
         usual = self.kinematic_equations().usual_actuators(self)
         if self.actuators is None:
             return usual

@@ -56,7 +56,7 @@ def test_a_command_runs_and_its_output_knows_its_configuration(recording, workpl
         (
             ["prepare", "robot=mgrr", "output=out"],
             2,
-            "no such robot: 'mgrr': did you mean 'mgr'? known: create, mgr, mur",
+            "no such robot: 'mgrr': did you mean 'mgr'? known: car, create, mgr, mur",
         ),
         (["prepare", "splt.seed=1", "output=out"], 2, "unknown option 'splt.seed': did you mean 'split.seed'?"),
         (["train", "vehicles=[]", "recording=none", "output=out"], 2, "field 'vehicles': Tuple should have at least 1"),

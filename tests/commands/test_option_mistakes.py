@@ -22,7 +22,7 @@ from swarmtwin.commands.app import run_command
         ("robot.arena_mm.x={low: 1}", "option 'robot.arena_mm.x' is a list: write robot.arena_mm.x=[...]"),
         ("robot=[{name: x", "option 'robot': '[{name: x' has a bracket without its partner"),
         ("output='a", "has a quotation mark without its partner"),
-        ("robot=", "option 'robot' has no value: choose one of create, mgr, mur"),
+        ("robot=", "option 'robot' has no value: choose one of car, create, mgr, mur"),
         ("output=", "option 'output' has no value: write output=VALUE"),
         ("~output", "'~output' takes away what has no value yet: give it one, output=..."),
         ("+robot=mgr", "'robot' is chosen already: write robot=..., without +"),

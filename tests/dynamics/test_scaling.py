@@ -76,6 +76,20 @@ def test_a_missing_earlier_command_is_taken_for_the_usual_one(robots):
     torch.testing.assert_close(inputs[missing, 2:], usual.expand(20, 2), rtol=0, atol=1e-3)
 
 
+def test_an_unknown_velocity_is_taken_for_the_usual_one_and_for_rest_by_limits(robots):
+    robot = robots["mgr"]
+    velocity = torch.tensor([[10.0, 2.0, 0.1], [torch.nan] * 3, [30.0, -2.0, 0.5]])
+    situation = Situation(torch.zeros(3, 2), velocity=velocity)
+    encoding = Encoding.for_network(robot, ("command", "velocity"), "physical")
+    encoding.learn(situation)
+    expected = torch.tensor([[10.0, 2.0, 0.1], [20.0, 0.0, 0.3], [30.0, -2.0, 0.5]])
+    torch.testing.assert_close(encoding(situation)[:, 2:], expected)
+    by_limits = Encoding.by_limits(robot, ("command", "velocity"), (), 0.2)
+    by_limits.learn(situation)
+    torch.testing.assert_close(by_limits(situation)[0, 2:], torch.tensor([10 / 100, 2 / 50, 0.1 / 2.8]))  # over 0.5 s
+    assert not by_limits(situation)[1, 2:].any()
+
+
 def test_only_an_encoding_that_takes_the_earlier_command_keeps_the_usual_one(robots):
     """Else weights saved by an earlier version would not load."""
     kept = {"usual_previous_command", "scaling.offset", "scaling.scale"}
@@ -84,7 +98,7 @@ def test_only_an_encoding_that_takes_the_earlier_command_keeps_the_usual_one(rob
         for parts in (("previous_command",), ALL_PARTS)
     )
     assert set(without.state_dict()) == kept
-    assert set(taking.state_dict()) == {*kept, "usual_earlier_command"}
+    assert set(taking.state_dict()) == {*kept, "usual_earlier_command", "usual_velocity"}
 
 
 def test_neighbours_enter_as_a_set_of_any_size_and_order(robots):

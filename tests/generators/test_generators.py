@@ -162,9 +162,10 @@ def test_values_that_are_not_finite_are_refused(real):
         fit(dataclasses.replace(real, command=broken), config("residual_diffusion"), seed=1)
 
 
-def test_a_robot_whose_motion_depends_on_more_is_refused(robots):
-    robot = robots["mgr"].model_copy(update={"situation": ("command", "previous_command")})
-    with pytest.raises(UserError, match=r"^robot 'mgr': its situation has previous_command, and generators produce"):
+@pytest.mark.parametrize("part", ["previous_command", "velocity"])
+def test_a_robot_whose_motion_depends_on_more_is_refused(robots, part):
+    robot = robots["mgr"].model_copy(update={"situation": ("command", part)})
+    with pytest.raises(UserError, match=rf"^robot 'mgr': its situation has {part}, and generators produce"):
         Columns.of(robot)
 
 
@@ -176,7 +177,7 @@ def test_synthetic_transitions_hold_what_was_generated_and_nothing_else(trained,
     assert len(transitions.part("test")) == 0
     assert transitions.runs[0] == "synthetic-00001"
     assert transitions.vehicles == ("synthetic",)
-    for name in ("previous_command", "earlier_command", "pose", "time_s"):
+    for name in ("previous_command", "earlier_command", "pose", "velocity", "time_s"):
         assert np.isnan(getattr(transitions, name)).all(), name
     for run in range(len(transitions.runs)):
         assert len(set(transitions.split[transitions.run == run])) == 1

@@ -107,6 +107,11 @@ def test_what_makes_no_sense_for_a_robot_is_not_offered(robots):
     actuators = {"kind": "thrust", "effort": ["jet"], "steering": "angle"}
     jet = changed(mur, command=columns, actuators=actuators, kinematics="unicycle")
     assert set(offered(jet, conditions_of(jet))) & CATALOGUE == CATALOGUE - {"backlash"}
+    car = robots["car"]  # its wheels' distance is of no use, since they cannot be driven apart
+    assert set(offered(car, conditions_of(car, track_mm=None))) & CATALOGUE == CATALOGUE - {"backlash"}
+    unknown = changed(mgr, kinematics=None, actuators=None)
+    without = {"actuator_asymmetry", "backlash", "actuator_lag", "dead_band", "saturation"}
+    assert set(offered(unknown, conditions_of(unknown))) & CATALOGUE == CATALOGUE - without
 
 
 def test_parameters_are_those_of_the_actuator(robots):
@@ -115,6 +120,7 @@ def test_parameters_are_those_of_the_actuator(robots):
     assert set(backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"travel_rad"}
     assert set(asymmetry.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"ratio"}
     assert set(asymmetry.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"angle_rad"}
+    assert set(asymmetry.parameters_of(robots["car"], conditions_of(robots["car"]))) == {"angle_rad"}
     assert (
         mechanism_class("dead_band").parameters_of(robots["mgr"], conditions_of(robots["mgr"]))["width"].unit == "PWM"
     )

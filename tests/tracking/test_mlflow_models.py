@@ -12,10 +12,13 @@ import yaml
 
 from exact_model import LaggingDynamics, simulation_with, situation_of
 from swarmtwin.dynamics.evaluation import predict
+from swarmtwin.dynamics.model_config import config_class
+from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.policies.policy_folder import load_policy
 from swarmtwin.simulation.pyfunc import ServedSimulation
+from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.runs import tracked_run
@@ -107,6 +110,20 @@ def test_a_policy_commands_from_a_table_of_observations_what_it_commands_elsewhe
     answer = loaded.predict(pd.DataFrame(observed, columns=ours.policy.observation_names))
     np.testing.assert_array_equal(answer, ours.policy.act(observed[None])[0])
     assert len(loaded.predict(loaded.input_example)) == 2
+
+
+def test_a_model_that_looks_at_velocity_answers_with_and_without_it(robots):
+    dynamics = NetworkDynamics(robots["car"], config_class("kinematic")(situation=("command", "velocity"))).eval()
+    served = ServedSimulation(Simulation(dynamics))
+    velocity = ("velocity_forward_mm_s", "velocity_left_mm_s", "velocity_turn_rad_s")
+    assert (served.required, served.optional) == (("throttle", "steering_deg"), velocity)
+    assert np.isfinite(served.predict(served.example)).all(axis=None)
+    given = pd.DataFrame({"throttle": 0.0, "steering_deg": 0.0, velocity[0]: [1000.0, 0.0]})
+    forward_mm = served.predict(given)["forward_mm"]
+    left_over = np.exp(-0.2)  # of a speed that is asked for no more, at its time constant of five periods
+    np.testing.assert_allclose(forward_mm, [1000 * left_over * 0.1, 0], rtol=1e-5)
+    at_rest = served.predict(given.drop(columns=velocity[0]))
+    np.testing.assert_allclose(at_rest, 0, atol=1e-9)
 
 
 def test_an_extended_simulation_answers_its_most_likely_step(robots):

@@ -79,12 +79,13 @@ def run(options: Options) -> dict[str, Any]:
 
 def _simulation(options: Options) -> Simulation:
     if options.simulation is None:
+        nominal = nominal_simulation(options.robot)
         log.warning(
             "nothing is known of how %r moves but its kinematics: commands are looked ahead in those, at the largest "
             "speeds that its file calls believable",
             options.robot.name,
         )
-        return nominal_simulation(options.robot)
+        return nominal
     return load_simulation(registry.model_folder(options.simulation), options.robot)[0].eval()
 
 

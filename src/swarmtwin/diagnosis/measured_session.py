@@ -95,8 +95,11 @@ class MeasuredSession:
 
     @classmethod
     def of(cls, transitions: Transitions, conditions: SessionConditions, sent: Sent | None = None) -> Self:
-        """Take those of the transitions whose previous command is known."""
-        known = transitions.where(np.isfinite(transitions.previous_command).all(axis=1))
+        """Take those of the transitions whose previous command is known, and of a robot with momentum the velocity."""
+        before = [transitions.previous_command]
+        if "velocity" in transitions.robot.situation:
+            before.append(transitions.velocity)
+        known = transitions.where(np.isfinite(np.column_stack(before)).all(axis=1))
         twist = log_map(torch.as_tensor(known.displacement))
         earlier_command = np.where(np.isfinite(known.earlier_command), known.earlier_command, known.previous_command)
         situation = Situation(
@@ -104,6 +107,7 @@ class MeasuredSession:
             previous_command=torch.as_tensor(known.previous_command),
             earlier_command=torch.as_tensor(earlier_command),
             pose=torch.as_tensor(known.pose),
+            velocity=torch.as_tensor(known.velocity),
             elapsed_s=torch.as_tensor(known.time_s),
             duration_s=torch.as_tensor(known.duration_s),
             neighbours=torch.as_tensor(known.neighbours),

@@ -12,6 +12,7 @@ from swarmtwin.diagnosis.discrepancy import Discrepancy
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
+from swarmtwin.diagnosis.rolled_out_training import learn_rolled_out
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings, ReferenceSettings
 from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
@@ -30,6 +31,7 @@ from swarmtwin.simulation.ensemble_dynamics import (
     CorrectedDynamics,
     CrossFitted,
     EnsembleDynamics,
+    coasting,
     ensemble_encoding,
     wall_reaches_over,
 )
@@ -122,7 +124,8 @@ class Reference:
         require_enough(session, settings.reference, "simulation's evidence: the held-out part of its")
         alone = _twist(CorrectedDynamics(dynamics, None), session)
         fold = folds_of(session.run, settings.reference.folds)
-        parts = tuple(part for part in KNOWN_INPUTS if part in (*dynamics.inputs, "previous_command"))
+        known = {*dynamics.inputs, "previous_command"} - {"velocity"}  # a correction is of what the model makes of it
+        parts = tuple(part for part in KNOWN_INPUTS if part in known)
         correction = _learned_base(session, parts, session.residual_of(alone), fold, seed)
         return cls._with_noise(CorrectedDynamics(dynamics, correction), session, fold, seed, settings)
 
@@ -138,10 +141,11 @@ class Reference:
     ) -> Self:
         """Learn the noise from what cross-fitted answers leave of the reference's own transitions."""
         session = session.under(with_actuation(session.conditions, base, seed))
-        cross_fitted = CrossFitted(base, fold)
+        cross_fitted, has_momentum = CrossFitted(base, fold), "velocity" in base.inputs
         predictor = SessionPredictor(cross_fitted, session.conditions, session.situation, session.follows)
         twist = predictor.twist(())
-        base.motion_noise = MotionNoise.estimate(session.transitions, exp_map(twist).numpy())
+        one_step = cross_fitted.predict(session.situation.only(base.inputs)) if has_momentum else exp_map(twist)
+        base.motion_noise = MotionNoise.estimate(session.transitions, one_step.numpy())
         measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
         errors = log_map(displacement_between(exp_map(twist), measured)).numpy()
         first = Noise.learn(errors, twist.numpy(), session, settings.noise)
@@ -175,7 +179,7 @@ class Reference:
         """Return the same of so many of its transitions at most: every second, third, … run of a longer reference."""
         every = -(-len(self.session) // most)
         rows = self.session.run % every == 0
-        part = CrossFitted(self.base, self.cross_fitted.fold[rows])
+        part = self.cross_fitted.of_rows(rows)
         return SessionLikelihood(
             part, self.noise, self.session.where(rows), discrepancy=self.discrepancy, settings=self.settings
         )
@@ -278,5 +282,9 @@ def _learned_base(
     robot = session.transitions.robot
     reaches_mm = wall_reaches_over(session.conditions)
     encoding, groups = ensemble_encoding(robot, inputs, reaches_mm, session.conditions)
-    ensemble = learn(groups, encoding(session.situation).numpy(), twist.numpy(), fold, seed)
-    return EnsembleDynamics(robot, inputs, reaches_mm, session.conditions, ensemble)
+    change = twist - coasting(robot, inputs, session.situation)
+    ensemble = learn(groups, encoding(session.situation).numpy(), change.numpy(), fold, seed)
+    base = EnsembleDynamics(robot, inputs, reaches_mm, session.conditions, ensemble)
+    if "velocity" in inputs:
+        learn_rolled_out(base, session, fold, seed)
+    return base

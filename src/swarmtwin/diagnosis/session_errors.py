@@ -50,6 +50,7 @@ class SessionErrors:
         self.explained = tuple(explained)
         self.session, self.reference_noise, self.robot = session, noise, base.robot
         self.settings = settings or DiagnosisSettings()
+        self.has_momentum = "velocity" in base.inputs
         self.members: int = getattr(base, "members", 0)
         self.predictor = SessionPredictor(base, session.conditions, session.situation, session.follows, session.sent)
         self.simulated = self.predictor.twist(())
@@ -93,10 +94,7 @@ class SessionErrors:
     @cached_property
     def flexible(self) -> FlexibleResidual:
         """What errors may depend on."""
-        given = self.session.situation
-        assert given.previous_command is not None
-        steady = self.predictor.base_twist(given.command, given.command).numpy()
-        before = self.predictor.base_twist(given.previous_command, given.previous_command).numpy()
+        steady, before = (twist.numpy() for twist in self.predictor.steady_twists())
         return FlexibleResidual.of(self.session, steady, before, self.settings.flexible)
 
     @cached_property

@@ -3,10 +3,12 @@
 It runs the simulation's own signal chain, period by period, from the measured pose of each. What actuators remember is
 carried through each run from its start, as `Simulation.step` carries it: all transitions are advanced at once, again
 and again, each from what the one before it ended with, until nothing changes. Lag and play forget: a few rounds do.
+The velocity of a simulation with momentum is simulated from the first measured one of each run: measured velocities
+hold already what a cause does.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +20,9 @@ from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import compose, displacement_between, log_map
 from swarmtwin.learning.situation import Situation
 from swarmtwin.simulation.base_twists import Answers, BaseTwists
+from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.ensemble_dynamics import OneMember
+from swarmtwin.simulation.ensemble_dynamics import CrossFitted, OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import FOLLOWING, SETTING, end_memory, period_motion, remembered_after_two
@@ -72,16 +75,32 @@ class SessionPredictor:
         assert given.elapsed_s is not None
         assert given.duration_s is not None
         assert given.neighbours is not None
-        return Moment(self.base.robot, self.conditions, given.pose, given.elapsed_s, given.duration_s, given.neighbours)
+        return Moment(
+            robot=self.base.robot,
+            conditions=self.conditions,
+            pose=given.pose,
+            elapsed_s=given.elapsed_s,
+            duration_s=given.duration_s,
+            neighbours=given.neighbours,
+            velocity=given.velocity,
+        )
 
     def simulated(self) -> Tensor:
         """Return the twists (N, 3) of the base alone."""
-        moment = self.moment()
-        return BaseTwists(self.base, moment, self._commands(), self.answers[()]).response(0)
+        return self._undisturbed().response(0)
 
     def base_twist(self, command: Tensor, previous_command: Tensor) -> Tensor:
         """Return the twists (N, 3) of the base alone under other commands (N, m), and others before them."""
-        return BaseTwists(self.base, self.moment(), (command, previous_command, previous_command)).response(0)
+        moment = self._undisturbed().moment
+        return BaseTwists(self.base, moment, (command, previous_command, previous_command)).response(0)
+
+    def steady_twists(self) -> tuple[Tensor, Tensor]:
+        """Return the twists (N, 3) of the base alone under the present command held for long, and the one before."""
+        undisturbed = self._undisturbed()
+        if undisturbed.has_momentum:
+            return undisturbed.response(0), undisturbed.coasting()
+        command, previous, _ = self._commands()
+        return self.base_twist(command, command), self.base_twist(previous, previous)
 
     def twist(self, mechanisms: Sequence[Mechanism]) -> Tensor:
         """Return the measured twists (N, 3) where every command arrives."""
@@ -107,6 +126,46 @@ class SessionPredictor:
         assert given.earlier_command is not None
         return given.command, given.previous_command, given.earlier_command
 
+    def _undisturbed(self) -> BaseTwists:
+        return self._from_own_velocity(BaseTwists(self.base, self.moment(), self._commands(), self.answers[()]))
+
+    def _steps(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield transitions that follow others, and these others, indices (n,) each, the first of all runs first."""
+        after = np.full(len(self.follows), -1)
+        after[self.follows[self.follows >= 0]] = np.flatnonzero(self.follows >= 0)
+        before = np.flatnonzero(self.follows < 0)
+        while len(before := before[after[before] >= 0]):
+            yield after[before], before
+            before = after[before]
+
+    def _in_force(self, given: Sequence[Tensor], mechanisms: Sequence[Mechanism]) -> Sequence[Tensor]:
+        """Return the mean settings (N, m) in force in each period and before, where commands (N, m) are late."""
+        delays = Delays.of(mechanisms, self.base.robot.period_s)
+        command, previous, earlier = given
+        past = InForce(*(values.clone() for values in InForce.after_two(previous, earlier, delays)))
+        for rows, before in self._steps():
+            left = InForce(*(values[before] for values in past)).followed_by(command[before], previous[before], delays)
+            for carried, values in zip(past, left, strict=True):
+                carried[rows] = values
+        return commands_for(self.base.robot, past, past.followed_by(command, previous, delays))
+
+    def _from_own_velocity(self, twists: BaseTwists) -> BaseTwists:
+        """Let a base with momentum go on from its own velocity, simulated from the first measured one of each run."""
+        if not twists.has_momentum:
+            return twists
+        if twists.known.velocity is None:
+            velocity = twists.moment.velocity
+            assert velocity is not None
+            velocity = velocity.clone()
+            for rows, before in self._steps():
+                moment = replace(twists.moment, velocity=velocity).of_rows(before)
+                base = self.base.of_rows(before) if isinstance(self.base, CrossFitted) else self.base
+                commands = [command[before] for command in twists.commands]
+                part = BaseTwists(base, moment, commands, clock_is_nominal=twists.clock_is_nominal)
+                velocity[rows] = part.velocity_after()
+            twists.known.velocity = velocity
+        return replace(twists, moment=replace(twists.moment, velocity=twists.known.velocity))
+
     def _answers(self, mechanisms: Sequence[Mechanism], most_kept: int = 6) -> Answers:
         """Return what the base has answered so far where these mechanisms change what it is asked."""
         key = tuple(mechanism.model_dump_json() for mechanism in mechanisms)
@@ -126,7 +185,7 @@ class SessionPredictor:
                 moving.append(mechanism)
         moved_camera = true is not measured
         if moved_camera:
-            moment = Moment(**{**vars(moment), "pose": true})
+            moment = replace(moment, pose=true)
         given = list(self._commands())
         late = [mechanism for mechanism in mechanisms if mechanism.latency_s() > 0] if self.sent else []
         if self.sent and late:  # known to the moment: what is in force is averaged, and nothing is late any more
@@ -138,6 +197,10 @@ class SessionPredictor:
             sent, given = given, [mechanism.transform_command(command, moment) for command in given]
             if any(one is not other for one, other in zip(given, sent, strict=True)):
                 changing.append(mechanism)
+        if "velocity" in self.base.inputs and (delaying := late_or_gradual(mechanisms)):
+            given = list(self._in_force(given, delaying))
+            mechanisms = [mechanism for mechanism in mechanisms if mechanism not in delaying]
+            changing += delaying
         nominal = [mechanism for mechanism in mechanisms if mechanism.follows_clock()]
         if "duration_s" in self.base.inputs:
             changing += nominal
@@ -145,6 +208,7 @@ class SessionPredictor:
             changing += moving
         answers = self._answers(changing)
         twists = BaseTwists(self.base, moment, given, answers, roles, clock_is_nominal=bool(nominal))
+        twists = self._from_own_velocity(twists)
         memory = remembered_after_two(mechanisms, twists)
         if memory and roles == (0, 1, 2):
             memory = self._carried(mechanisms, twists, memory)

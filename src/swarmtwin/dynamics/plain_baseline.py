@@ -18,9 +18,9 @@ def fit_kinematics(transitions: Transitions, iterations: int = 100) -> NetworkDy
         iterations: of L-BFGS over all transitions, at most; seven parameters need some thirty.
 
     Raises:
-        UserError: the kinematics that the robot's file names want other commands than it has.
+        UserError: the robot's file names no kinematics.
     """
-    dynamics = NetworkDynamics(transitions.robot, model_config({"name": "kinematic"}, "model"))
+    dynamics = NetworkDynamics(transitions.robot, model_config({"name": "kinematic", "situation": None}, "model"))
     situation = Situation.from_transitions(transitions, dynamics.inputs)
     displacement = torch.as_tensor(transitions.displacement, dtype=torch.float32)
     optimiser = torch.optim.LBFGS(dynamics.parameters(), max_iter=iterations, line_search_fn="strong_wolfe")

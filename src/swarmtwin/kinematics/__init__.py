@@ -30,15 +30,17 @@ class Actuators(StrictModel):
 
     Attributes:
         kind: `wheel`: speed follows the command, and what grips less goes less far; `thrust`: fins, propellers, jets
-            push against a drag.
-        effort: the command columns that each say how hard one actuator works; of wheels the left and the right one.
-            None where the command is a forward speed and a turn rate. Left out: as usual for the robot's kinematics.
-        steering: of thrust, the command column that is its angle in degrees, if one is.
+            push against a drag; `unknown`: a diagnosis leaves out the causes that lie in them.
+        effort: the command columns that each say how hard one actuator works; of wheels the left and the right one, or
+            the throttle of all. None where the command is a forward speed and a turn rate. Left out: as usual for the
+            robot's kinematics.
+        steering: the command column that is the angle of a fin or of steered wheels in degrees, if one is; of wheels,
+            positive to the left.
         track_mm: of wheels, the distance between left and right; null: learned from the recording where the command
             names each wheel.
     """
 
-    kind: Literal["wheel", "thrust"]
+    kind: Literal["wheel", "thrust", "unknown"]
     effort: tuple[str, ...] = ()
     steering: str | None = None
     track_mm: Positive | None = None
@@ -97,6 +99,18 @@ class PhysicalParameter(NamedTuple):
     signed: bool = False
 
 
+class Before(NamedTuple):
+    """The control period before, of N vehicles.
+
+    Attributes:
+        command: (N, m) held over it.
+        velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, its mean.
+    """
+
+    command: Tensor
+    velocity: Tensor
+
+
 class KinematicEquations(ABC):
     """The kinematics of one kind of drive.
 
@@ -115,6 +129,10 @@ class KinematicEquations(ABC):
     def parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return the parameters by name, with the unit in the name, sized for a robot."""
 
+    def momentum_parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
+        """Return the parameters that `velocities_after` has beyond these; none: the motion has no momentum."""
+        return {}
+
     @abstractmethod
     def velocities(
         self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
@@ -129,3 +147,23 @@ class KinematicEquations(ABC):
         Returns:
             forward_mm_s, left_mm_s, turn_rad_s, each (N,), constant over the period.
         """
+
+    def velocities_after(
+        self,
+        before: Before,
+        command: Tensor,
+        values: Mapping[str, Tensor],
+        robot: DrivenRobot,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the mean velocities over a period that begins in motion, where there are `momentum_parameters`.
+
+        Args:
+            before: the motion of the period before.
+            command: (N, m) in the robot's units.
+            values: of all parameters, scalars.
+            robot: whose command it is.
+
+        Returns:
+            forward_mm_s, left_mm_s, turn_rad_s, each (N,), those whose constant twist leads to the period's end.
+        """
+        return self.velocities(command, values, robot)

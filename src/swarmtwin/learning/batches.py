@@ -64,7 +64,7 @@ def epoch_seed(seed: int, epoch: int) -> int:
     return seed * 1_000_003 + epoch
 
 
-MAY_BE_UNKNOWN: tuple[SituationPart, ...] = ("previous_command", "earlier_command", "neighbours")
+MAY_BE_UNKNOWN: tuple[SituationPart, ...] = ("previous_command", "earlier_command", "velocity", "neighbours")
 
 
 class TensorSplits(NamedTuple):
@@ -91,7 +91,7 @@ class TensorSplits(NamedTuple):
 
 
 def tensor_splits(transitions: Transitions, parts: Sequence[SituationPart]) -> TensorSplits:
-    """Turn the training and validation splits into tensors; only commands before and neighbours may be NaN.
+    """Turn the training and validation splits into tensors; only commands before, velocities and neighbours may be NaN.
 
     Raises:
         UserError: a split is empty, a value is not finite, or a part of the situation is not there at all.

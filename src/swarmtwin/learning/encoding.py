@@ -7,7 +7,7 @@ One encoding serves every learner. What it is made of, the caller says as a list
     Encoding(robot, ("command", "direction", "position", "elapsed_s"), "limits", arena_mm=arena, session_s=600.0)
 
 With `limits` nothing is learned and no weights are kept: commands are scaled by the robot's limits, positions by the
-arena, times by the session and the period.
+arena, velocities by the largest believable ones, times by the session and the period.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,6 +29,7 @@ Feature = Literal[
     "heading",
     "direction",
     "walls",
+    "velocity",
     "elapsed_s",
     "duration_s",
     "neighbours",
@@ -40,6 +41,8 @@ Feature = Literal[
 - `position`: x_mm, y_mm; `heading`: one angle in rad, which jumps at ±π; `direction`: its cosine and sine;
 - `walls`: for each reach, five columns: the walls of the arena, each weighing exp(−distance / reach): their sum, their
   direction ahead and to the left of the vehicle, and the two second moments of that direction;
+- `velocity`: forward_mm_s, left_mm_s, turn_rad_s; where it is not known, the usual one of the training data, and rest
+  with `limits`;
 - `elapsed_s`, `duration_s`;
 - `neighbours`: the sum over neighbours of the unit vector to each, ahead and to the left, weighing
   exp(−distance / reach). A set of any size, in any order, gives two columns.
@@ -53,6 +56,7 @@ _PART_OF: dict[Feature, SituationPart] = {
     "heading": "pose",
     "direction": "pose",
     "walls": "pose",
+    "velocity": "velocity",
     "elapsed_s": "elapsed_s",
     "duration_s": "duration_s",
     "neighbours": "neighbours",
@@ -114,6 +118,7 @@ class Encoding(nn.Module):
 
     usual_previous_command: Tensor
     usual_earlier_command: Tensor
+    usual_velocity: Tensor
     walls_mm: Tensor
 
     def __init__(
@@ -165,6 +170,8 @@ class Encoding(nn.Module):
         self.register_buffer("usual_previous_command", usual, persistent=learned)
         if "earlier_command" in features:  # weights saved before there was this feature have no such buffer
             self.register_buffer("usual_earlier_command", usual.clone(), persistent=learned)
+        if "velocity" in features:
+            self.register_buffer("usual_velocity", torch.zeros(3), persistent=learned)
 
     @classmethod
     def for_network(
@@ -182,6 +189,7 @@ class Encoding(nn.Module):
             ("command", ("command",)),
             ("previous_command", ("previous_command",)),
             ("earlier_command", ("earlier_command",)),
+            ("velocity", ("velocity",)),
             ("elapsed_s", ("elapsed_s",)),
             ("duration_s", ("duration_s",)),
             ("neighbours", ("neighbours",)),
@@ -198,7 +206,7 @@ class Encoding(nn.Module):
         place_weight: float,
         arena_mm: Arena | None = None,
     ) -> "Encoding":
-        """Encode command and pose by limits, the pose mainly by the walls: what few data suffice for.
+        """Encode command, pose and velocity by limits, the pose mainly by the walls: what few data suffice for.
 
         Motion that depends on the pose mostly depends on the walls, and those act in the vehicle's frame: a wall ahead
         does the same in every corner of the arena. How far they act nobody knows beforehand, so their reaches are a
@@ -215,9 +223,12 @@ class Encoding(nn.Module):
             "command": ("command",),
             "previous_command": ("previous_command",),
             "pose": ("position", "direction", *(("walls",) if wall_reaches else ())),
+            "velocity": ("velocity",),
         }
         if unknown := [part for part in inputs if part not in parts]:
-            raise UserError(f"this model looks at command and pose, not at {unknown[0]}: take it out of its situation")
+            raise UserError(
+                f"this model looks at command, pose and velocity, not at {unknown[0]}: take it out of its situation"
+            )
         return cls(
             robot,
             [feature for part in parts if part in inputs for feature in parts[part]],
@@ -237,6 +248,7 @@ class Encoding(nn.Module):
             "position": 2,
             "direction": 2,
             "walls": 5 * len(self.wall_reaches_mm),
+            "velocity": 3,
             "neighbours": 2,
         }
         return several.get(feature, 1)
@@ -261,6 +273,8 @@ class Encoding(nn.Module):
                 self.usual_previous_command.copy_(situation.previous_command.nanmean(dim=0).nan_to_num())
             if "earlier_command" in self.features and situation.earlier_command is not None:
                 self.usual_earlier_command.copy_(situation.earlier_command.nanmean(dim=0).nan_to_num())
+            if "velocity" in self.features and situation.velocity is not None:
+                self.usual_velocity.copy_(situation.velocity.nanmean(dim=0).nan_to_num())
         self.scaling.learn(self._columns(situation))
 
     def forward(self, situation: Situation) -> Tensor:
@@ -279,6 +293,8 @@ class Encoding(nn.Module):
                 return torch.where(part.isnan(), self.usual_previous_command, part)
             case "earlier_command":
                 return torch.where(part.isnan(), self.usual_earlier_command, part)
+            case "velocity":
+                return torch.where(part.isnan(), self.usual_velocity, part)
             case "position":
                 return part[:, :2]
             case "heading":
@@ -330,6 +346,8 @@ class Encoding(nn.Module):
                 return (robot.command_low + robot.command_high) / 2, (robot.command_high - robot.command_low) / 2
             case "position":
                 return (arena.low_mm + arena.high_mm) / 2, (arena.high_mm - arena.low_mm) / 2
+            case "velocity":
+                return 0.0, robot.displacement_limit / robot.period_s
             case "elapsed_s":
                 assert self.session_s is not None, "elapsed_s by limits needs session_s"
                 return self.session_s / 2, self.session_s / 2

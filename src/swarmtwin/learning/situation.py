@@ -23,6 +23,8 @@ class Situation:
         previous_command: (N, m) held over the period before; a row of NaN where there was none.
         earlier_command: (N, m) held over the period before that; a row of NaN where there was none or no previous one.
         pose: (N, 3) x_mm, y_mm, heading_rad in the arena's frame.
+        velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, the mean of the period before, in the vehicle's own frame;
+            a row of NaN where it is not known.
         elapsed_s: (N,) time since the session began.
         duration_s: (N,) length of the period.
         neighbours: (N, K, 3) forward_mm, left_mm, turn_rad to the other vehicles in the vehicle's own frame, in any
@@ -33,6 +35,7 @@ class Situation:
     previous_command: Tensor | None = None
     earlier_command: Tensor | None = None
     pose: Tensor | None = None
+    velocity: Tensor | None = None
     elapsed_s: Tensor | None = None
     duration_s: Tensor | None = None
     neighbours: Tensor | None = None
@@ -50,6 +53,7 @@ class Situation:
             "previous_command": transitions.previous_command,
             "earlier_command": transitions.earlier_command,
             "pose": transitions.pose,
+            "velocity": transitions.velocity,
             "elapsed_s": transitions.time_s,
             "duration_s": transitions.duration_s,
             "neighbours": transitions.neighbours,

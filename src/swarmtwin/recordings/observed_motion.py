@@ -107,12 +107,14 @@ class ObservedMotion:
     def turn_effort(self) -> np.ndarray | None:
         """How strongly the commands steer to the left, (P,), 1 being the limit; None where the file does not say."""
         actuators = self.robot.actuation
+        if actuators.steering:
+            return self._effort([actuators.steering])[:, 0]
         if actuators.kind == "wheel":
             wheels = self._effort(actuators.effort or self.robot.command_columns[1:2])
             if wheels.shape[1] == 2:
                 return (wheels[:, 1] - wheels[:, 0]) / 2
             return wheels[:, 0] if wheels.shape[1] == 1 and not actuators.effort else None
-        return self._effort([actuators.steering])[:, 0] if actuators.steering else None
+        return None
 
     def _effort(self, columns: Sequence[str]) -> np.ndarray:
         chosen = [self.robot.command_columns.index(name) for name in columns]

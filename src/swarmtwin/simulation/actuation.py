@@ -45,9 +45,18 @@ def with_actuation(conditions: SessionConditions, dynamics: DynamicsModel, seed:
     return conditions.model_copy(update=learned)
 
 
-def _twist(dynamics: DynamicsModel, command: Tensor, previous: Tensor, pose: Tensor) -> Tensor:
+def _twist(dynamics: DynamicsModel, command: Tensor, previous: Tensor, pose: Tensor, most_periods: int = 50) -> Tensor:
+    """Return the twists (N, 3) under commands, with momentum once the velocity has settled or most periods are over."""
     parts = {"command": command, "previous_command": previous, "earlier_command": previous, "pose": pose}
-    return log_map(dynamics.predict(Situation(**{part: parts[part] for part in dynamics.inputs})).double())
+    parts["velocity"] = torch.zeros(len(command), 3, dtype=command.dtype)
+    for _ in range(most_periods):
+        twist = log_map(dynamics.predict(Situation(**{part: parts[part] for part in dynamics.inputs})).double())
+        velocity = twist / dynamics.robot.period_s
+        change = (velocity - parts["velocity"]).abs().mean(dim=0)
+        if "velocity" not in dynamics.inputs or bool((change <= 1e-3 * velocity.abs().mean(dim=0)).all()):
+            break
+        parts["velocity"] = velocity
+    return twist
 
 
 def _track_mm(dynamics: DynamicsModel, trial: TrialCommands) -> float | None:
@@ -73,8 +82,11 @@ def _track_mm(dynamics: DynamicsModel, trial: TrialCommands) -> float | None:
 
 
 def _own_lag(dynamics: DynamicsModel, trial: TrialCommands) -> float:
-    """Return the actuators' own time constant in periods: the part of the old twist left after a change of command."""
-    if "previous_command" not in dynamics.inputs:
+    """Return the actuators' own time constant in periods: the part of the old twist left after a change of command.
+
+    Where the model looks at velocity, that tells it of the old twist, and there is no lag beside it.
+    """
+    if "previous_command" not in dynamics.inputs or "velocity" in dynamics.inputs:
         return 0.0
     now = _twist(dynamics, trial.command, trial.previous_command, trial.pose)
     steady = _twist(dynamics, trial.command, trial.command, trial.pose)

@@ -1,6 +1,11 @@
 """What a dynamics model answers to the last commands of N vehicles, as twists (N, 3) per nominal period.
 
 Forward and left in mm, turn in rad: the constant motion that leads to the displacement it predicts.
+
+A model that looks at velocity has momentum: no twist is steady, and what a command brings about hangs on all before it.
+It goes on from its own velocity, that of its answer to the period before, whatever mechanisms made of that answer; so a
+command before the present one stands for the motion it left. What acts late and gradually on it says
+`commands_in_force.py`.
 """
 
 from collections.abc import Sequence
@@ -22,11 +27,13 @@ class Answers:
         to_commands: by the indices of the command and of the one before it.
         to_settings: to settings on their way, by the roles of the commands, the way and the share of it that is left.
         delays: lateness and lag for which these settings hold.
+        velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, from which a model with momentum goes on; None: not known.
     """
 
     to_commands: dict[tuple[int, int], Tensor] = field(default_factory=dict)
     to_settings: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
     delays: tuple[float, float] = (0.0, 0.0)
+    velocity: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -54,13 +61,36 @@ class BaseTwists:
         """Return the commands (N, m) in a place: 0 for the present one."""
         return self.commands[self.roles[place]]
 
+    @property
+    def has_momentum(self) -> bool:
+        """Whether the model looks at velocity."""
+        return "velocity" in self.dynamics.inputs
+
     def response(self, place: int) -> Tensor:
         """Return the twists under the command in a place after the one before it, held over one period each."""
+        if place and self.has_momentum:
+            return self.coasting()
         return self._answer(self.roles[place], self.roles[place + 1])
 
     def steady(self, place: int) -> Tensor:
-        """Return the twists under the command in a place, held for long."""
+        """Return the twists under the command in a place, held for long; with momentum, over its one period."""
+        if self.has_momentum:
+            return self.response(place)
         return self._answer(self.roles[place], self.roles[place])
+
+    def coasting(self) -> Tensor:
+        """Return the twists (N, 3) with which the period before went."""
+        assert self.moment.velocity is not None
+        return self.moment.velocity * self.moment.robot.period_s
+
+    def moving_on(self) -> "BaseTwists":
+        """Return what would be answered if vehicles went on as in the period before."""
+        now, before, *_ = self.roles
+        return replace(self, known=Answers({(now, before): self.coasting(), (now, now): self.coasting()}))
+
+    def velocity_after(self) -> Tensor:
+        """Return the velocity (N, 3) in mm/s and rad/s from which a model with momentum goes on next."""
+        return self.response(0) / self.moment.robot.period_s
 
     def displacement(self) -> Tensor:
         """Return the model's own answer to the present command, displacements (N, 3), with nothing beyond it."""

@@ -57,10 +57,10 @@ def best_prediction(
         return neighbour_estimate(transitions, given, np.ones(len(transitions), bool))
     before = next((part for part in ("earlier_command", "previous_command") if part in given), None)
     knows_situation = set(transitions.robot.situation) <= set(given)
-    level = before or "situation"
+    level = _most_informed(exact) if "velocity" in given else before or "situation"
     known = mean_columns(level if level in _levels(exact) else "everything")
     mean = exact[known].to_numpy(float)
-    if knows_situation and level in _levels(exact):
+    if knows_situation and level in _levels(exact) and "velocity" not in given:
         return BestPrediction("exact", tuple(given), mean)
     start = exact[mean_columns("situation")].to_numpy(float) if knows_situation else np.zeros_like(mean)
     return BestPrediction("averaged_exact_means", tuple(given), start + _averaged(mean - start, transitions, given))
@@ -112,14 +112,21 @@ def _levels(exact: pd.DataFrame) -> list[str]:
     return [name.removesuffix("_turn_rad") for name in exact.columns if name.endswith("_turn_rad")]
 
 
+def _most_informed(exact: pd.DataFrame) -> str:
+    """Return what the exact means are given that are given most: a velocity tells of all that was before."""
+    levels = _levels(exact)
+    return next(level for level in ("everything", "earlier_command", "previous_command", *levels) if level in levels)
+
+
 def _columns(transitions: Transitions, given: Sequence[SituationPart]) -> np.ndarray:
-    """Return inputs as columns (N, c), a heading as cosine and sine; NaN where there was no command before."""
+    """Return inputs as columns (N, c), a heading as cosine and sine; NaN where the past is unknown."""
     pose = transitions.pose
     parts: dict[SituationPart, np.ndarray] = {
         "command": transitions.command,
         "previous_command": transitions.previous_command,
         "earlier_command": transitions.earlier_command,
         "pose": np.column_stack([pose[:, :2], np.cos(pose[:, 2]), np.sin(pose[:, 2])]),
+        "velocity": transitions.velocity,
         "elapsed_s": transitions.time_s[:, None],
         "duration_s": transitions.duration_s[:, None],
         "neighbours": transitions.neighbours.reshape(len(transitions), -1),

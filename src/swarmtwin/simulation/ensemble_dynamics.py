@@ -18,7 +18,7 @@ from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
 
-KNOWN_INPUTS: tuple[SituationPart, ...] = ("command", "previous_command", "pose")
+KNOWN_INPUTS: tuple[SituationPart, ...] = ("command", "previous_command", "pose", "velocity")
 
 
 def wall_reaches_over(conditions: SessionConditions) -> tuple[float, ...]:
@@ -32,14 +32,16 @@ def ensemble_encoding(
 ) -> tuple[Encoding, list[list[int]]]:
     """Return how an ensemble sees a situation, and the groups of columns whose effects add up.
 
-    Commands are scaled by their limits, the pose is seen as walls that fade over `wall_reaches_mm`. Groups: the columns
-    of each actuator, or where there is only one those of the command, and all together.
+    Commands and velocities are scaled by their limits, the pose is seen as walls that fade over `wall_reaches_mm`.
+    Groups: the columns of each actuator, or where there is only one those of the command, and all together.
     """
     features: list[Feature] = ["command"]
     if "previous_command" in inputs:
         features.append("previous_command")
     if "pose" in inputs:
         features.append("walls")
+    if "velocity" in inputs:
+        features.append("velocity")
     encoding = Encoding(robot, features, "limits", arena_mm=conditions.arena_mm, wall_reaches_mm=wall_reaches_mm)
     everything = list(range(encoding.width))
     command, previous = encoding.columns_of("command"), encoding.columns_of("previous_command")
@@ -52,6 +54,17 @@ def ensemble_encoding(
     ]
 
 
+def coasting(robot: Robot, inputs: Sequence[SituationPart], situation: Situation) -> Tensor:
+    """Return the twists (N, 3) of going on as before, from which an ensemble that is given the velocity starts; else 0.
+
+    Momentum changes motion little in a period: so the ensemble learns the change, which is smaller than the motion, and
+    errs less where its answers are put in again and again.
+    """
+    if "velocity" not in inputs or situation.velocity is None:
+        return torch.zeros(len(situation), 3, dtype=torch.float64, device=situation.command.device)
+    return situation.velocity.double().nan_to_num() * robot.period_s
+
+
 class EnsembleDynamics(DynamicsModule):
     """A dynamics model of several additive networks, each of which has not seen one part of the runs.
 
@@ -60,7 +73,7 @@ class EnsembleDynamics(DynamicsModule):
         inputs: the parts of a situation that it looks at.
         conditions: of the session that it was learned from.
         encoding: of the inputs as columns.
-        ensemble: predicts twists over a nominal period.
+        ensemble: predicts twists over a nominal period, beyond what `coasting` says.
         batch_size: the most situations asked for at a time; this many fit a processor's cache.
     """
 
@@ -105,14 +118,15 @@ class EnsembleDynamics(DynamicsModule):
         if member is None:
             return self.member_twists(situation).mean(dim=0).double()
         with torch.no_grad():
-            return self.ensemble.answer(self._encoded(situation), member).double().to(situation.command.device)
+            twist = self.ensemble.answer(self._encoded(situation), member).double().to(situation.command.device)
+        return twist + coasting(self.robot, self.inputs, situation)
 
     def member_twists(self, situation: Situation) -> Tensor:
         """Return every member's twists (M, N, 3), float32."""
         inputs = self._encoded(situation)
         with torch.no_grad():
             twists = torch.cat([self.ensemble(part) for part in inputs.split(self.batch_size)], dim=1)
-        return twists.to(situation.command.device)
+        return twists.to(situation.command.device) + coasting(self.robot, self.inputs, situation).float()
 
     def _encoded(self, situation: Situation) -> Tensor:
         """Return the inputs (N, columns) where the weights are."""
@@ -197,6 +211,10 @@ class CrossFitted(DynamicsModule):
         super().__init__()
         self.robot, self.inputs = base.robot, base.inputs
         self.base, self.fold = base, fold
+
+    def of_rows(self, rows: np.ndarray) -> "CrossFitted":
+        """Return what answers the transitions at indices (n,) in their order."""
+        return CrossFitted(self.base, self.fold[rows])
 
     def predict(self, situation: Situation) -> Tensor:
         """Return the expected displacements (N, 3) of the reference's own transitions, in their order, float64."""

@@ -88,7 +88,7 @@ class Following(NamedTuple):
             if end <= self.latency:
                 yield old
                 continue
-            on_average, at_last = _left_over(share, self.added_lag)
+            on_average, at_last = left_over(share, self.added_lag)
             yield new + rest * on_average * (old - new)
             rest *= at_last
 
@@ -126,7 +126,7 @@ class Following(NamedTuple):
             ]
             left, rest = [], 1.0
             for share in shares:
-                on_average, at_last = _left_over(share, self.added_lag)
+                on_average, at_last = left_over(share, self.added_lag)
                 left.append(rest * on_average)
                 rest *= at_last
             if shares:
@@ -192,12 +192,12 @@ def _relaxed_twist(start: Tensor, target: Tensor, share: float, lag: float) -> t
     bracket of earlier and later twists, as Magnus (1954) expands g' = g ξ.
     """
     late = start - target
-    on_average, left = _left_over(share, lag)
+    on_average, left = left_over(share, lag)
     order = (lag * (1 + left) - 2 * lag * on_average) / 2
     return target + late * on_average + _bracket(late, target) * order, target + late * left
 
 
-def _left_over(share: float, lag: float) -> tuple[float, float]:
+def left_over(share: float, lag: float) -> tuple[float, float]:
     """Return what is left of a change followed with a lag over a share of the period: on average, and at last."""
     if lag <= 0:
         return 0.0, 0.0

@@ -7,7 +7,7 @@ vehicles at a time; tensors are float64.
 
 from abc import ABC
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
 
@@ -71,6 +71,8 @@ class Moment:
         given: (N, m) the commands that the actuators are given in this period, and `given_before` in the one before:
             None until the controller has passed them on, in the hooks of link and controller.
         given_before: see `given`.
+        velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, from which a dynamics model with momentum goes on: the
+            mean of the period before, without what mechanisms made of it; None: not known.
     """
 
     robot: Robot
@@ -81,6 +83,12 @@ class Moment:
     neighbours: Tensor
     given: Tensor | None = None
     given_before: Tensor | None = None
+    velocity: Tensor | None = None
+
+    def of_rows(self, rows: np.ndarray) -> "Moment":
+        """Return the vehicles at indices (n,)."""
+        chosen: dict[str, Any] = {name: part[rows] for name, part in vars(self).items() if isinstance(part, Tensor)}
+        return replace(self, **chosen)
 
     def situation(self, command: Tensor, previous_command: Tensor, earlier_command: Tensor) -> Situation:
         """Return it with the commands (N, m) of this period and of the two before: what a dynamics model looks at."""
@@ -89,6 +97,7 @@ class Moment:
             previous_command=previous_command,
             earlier_command=earlier_command,
             pose=self.pose,
+            velocity=self.velocity,
             elapsed_s=self.elapsed_s,
             duration_s=self.duration_s,
             neighbours=self.neighbours,

@@ -26,14 +26,15 @@ class ServedSimulation:
         simulation: the simulation.
         columns: of every part of a situation, with room for `most_neighbours` other vehicles.
         required: the columns of what it looks at.
-        optional: those of earlier commands, which nobody knows at the start of a run, and of other vehicles.
+        optional: those of earlier commands and of velocities, which nobody knows at the start of a run, and of other
+            vehicles.
         example: three situations: the commands' lower limits, the command nearest to zero, the upper limits.
     """
 
     def __init__(self, simulation: Simulation, most_neighbours: int = 9) -> None:
         self.simulation = simulation
         self.columns = situation_columns(simulation.robot, most_neighbours)
-        can_be_unknown: set[SituationPart] = {"previous_command", "earlier_command", "neighbours"}
+        can_be_unknown: set[SituationPart] = {"previous_command", "earlier_command", "velocity", "neighbours"}
         unknown = [part for part in simulation.inputs if part in can_be_unknown]
         known = [part for part in simulation.inputs if part not in can_be_unknown]
         self.required, self.optional = (
@@ -64,6 +65,7 @@ class ServedSimulation:
             "previous_command": np.roll(commands, 1, axis=0),
             "earlier_command": np.roll(commands, 2, axis=0),
             "pose": np.tile([*middle_mm, 0.0], (3, 1)),
+            "velocity": np.array([-1, 0, 1])[:, None] * robot.displacement_limit / (2 * robot.period_s),
             "elapsed_s": robot.period_s * np.arange(3)[:, None],
             "duration_s": np.full((3, 1), robot.period_s),
             "neighbours": np.tile([2 * max(robot.vehicle_size_mm), 0.0, 0.0], (3, 1)),  # one, ahead

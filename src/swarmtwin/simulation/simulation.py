@@ -5,6 +5,7 @@ simulation: equation (1) of the paper, pose and command in, the next pose out.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -16,11 +17,14 @@ from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, 
 from swarmtwin.learning.situation import ALL_PARTS, Situation
 from swarmtwin.robot import SituationPart
 from swarmtwin.simulation.base_twists import BaseTwists
+from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import period_motion, remembered_after_long, remembered_after_two
 from swarmtwin.simulation.state import State
+
+OWN_VELOCITY = "velocity without mechanisms"
 
 
 class Simulation(nn.Module):
@@ -63,6 +67,12 @@ class Simulation(nn.Module):
         """Whether it is more than a dynamics model."""
         return bool(self.mechanisms) or self.residual is not None
 
+    @property
+    def _at_once(self) -> list[Mechanism]:
+        """The mechanisms that do not say when commands act."""
+        late = late_or_gradual(self.mechanisms)
+        return [mechanism for mechanism in self.mechanisms if mechanism not in late]
+
     def start(self, pose: Tensor, elapsed_s: float | Tensor | None = None, rng: torch.Generator | None = None) -> State:
         """Put vehicles down at rest; what they were commanded before is not known.
 
@@ -82,13 +92,17 @@ class Simulation(nn.Module):
                 elapsed_s = (drawn * self.conditions.session_s).expand(shape)
         elapsed_s = torch.as_tensor(elapsed_s, dtype=torch.float64).expand(shape).clone()
         unknown = torch.full((*shape, len(self.robot.command)), torch.nan, dtype=torch.float64, device=pose.device)
-        state = State(pose, elapsed_s, unknown, unknown)
-        if not self.mechanisms:
+        state = State(pose, elapsed_s, unknown, unknown, torch.zeros_like(pose))
+        if not self.is_extended:
             return state
         at_rest = self.command_at_rest.expand(pose.shape[0] * pose.shape[1], -1)
-        twists = self._twists(self._moment(state, None, None), [at_rest])
-        memory = remembered_after_long(self.mechanisms, twists, 0)
-        return State(pose, elapsed_s, unknown, unknown, _unflattened(memory, shape))
+        twists = self._twists(self._moment(state, None, None), [at_rest] * 3)
+        if twists.has_momentum:
+            memory = remembered_after_long(self._at_once, twists, 0)
+            memory |= InForce.at_rest(twists.setting(0)).memory() | {OWN_VELOCITY: state.velocity.flatten(0, 1)}
+        else:
+            memory = remembered_after_long(self.mechanisms, twists, 0)
+        return replace(state, memory=_unflattened(memory, shape))
 
     def step(
         self,
@@ -119,6 +133,7 @@ class Simulation(nn.Module):
         moment = self._moment(state, duration_s, neighbours)
         commands = [_flattened(values) for values in (command, state.previous_command, state.earlier_command)]
         displacement, memory = self._motion(moment, commands, {name: _flattened(m) for name, m in state.memory.items()})
+        likeliest = displacement
         if rng is not None and self.motion_noise is not None:
             displacement = self.motion_noise.sample(displacement, rng, self.noise_factor)
         if not bool(displacement.isfinite().all()):
@@ -126,11 +141,15 @@ class Simulation(nn.Module):
                 f"the simulation of {self.robot.name!r} predicts a displacement that is not finite: train its dynamics "
                 "model anew"
             )
+        velocity, usual = (log_map(moved) / moment.duration_s[:, None] for moved in (displacement, likeliest))
+        if OWN_VELOCITY in memory:
+            memory[OWN_VELOCITY] = memory[OWN_VELOCITY] + velocity - usual
         return State(
             pose=compose(state.pose, displacement.reshape(*shape, 3)),
             elapsed_s=state.elapsed_s + moment.duration_s.reshape(shape),
             previous_command=command,
             earlier_command=state.previous_command,
+            velocity=velocity.reshape(*shape, 3),
             memory=_unflattened(memory, shape),
         )
 
@@ -152,7 +171,11 @@ class Simulation(nn.Module):
         command = situation.command.double()
         previous = self._known(situation.previous_command, self.command_at_rest.expand_as(command))
         earlier = self._known(situation.earlier_command, previous)
-        end = self._end_after([command, previous, earlier], moment)
+        commands = [command, previous, earlier]
+        twists = self._twists(moment, commands)
+        if twists.has_momentum:
+            moment = self._from_own_velocity(twists, measured)
+        end = self._end_after(commands, moment)
         return displacement_between(measured, self.to_measured(end))
 
     @property
@@ -204,9 +227,13 @@ class Simulation(nn.Module):
         elif neighbours is None:
             neighbours = state.pose.new_zeros(*state.pose.shape[:2], 0, 3)
         return Moment(
-            self.robot,
-            self.conditions,
-            *(_flattened(values) for values in (state.pose, state.elapsed_s, duration_s, neighbours)),
+            robot=self.robot,
+            conditions=self.conditions,
+            pose=_flattened(state.pose),
+            elapsed_s=_flattened(state.elapsed_s),
+            duration_s=_flattened(duration_s),
+            neighbours=_flattened(neighbours),
+            velocity=_flattened(state.velocity),
         )
 
     def _measured_moment(self, situation: Situation) -> tuple[Moment, Tensor]:
@@ -219,14 +246,23 @@ class Simulation(nn.Module):
         neighbours = situation.neighbours if situation.neighbours is not None else torch.zeros(count, 0, 3)
         measured = measured.double()
         true = self.from_measured(measured)
-        moment = Moment(self.robot, self.conditions, true, elapsed_s.double(), duration_s.double(), neighbours.double())
+        velocity = situation.velocity.double().nan_to_num() if situation.velocity is not None else None
+        moment = Moment(
+            robot=self.robot,
+            conditions=self.conditions,
+            pose=true,
+            elapsed_s=elapsed_s.double(),
+            duration_s=duration_s.double(),
+            neighbours=neighbours.double(),
+            velocity=velocity,
+        )
         return moment, measured
 
     def _end_after(self, commands: Sequence[Tensor], moment: Moment) -> Tensor:
         """Return the true poses (N, 3) after the first of the commands; the others, (N, m), were held before it."""
         twists = self._twists(moment, commands)
-        memory = remembered_after_two(self.mechanisms, twists)
-        displacement, _ = self._motion(moment, commands, memory)
+        mechanisms = self._at_once if twists.has_momentum else self.mechanisms
+        displacement, _ = self._motion(moment, commands, remembered_after_two(mechanisms, twists))
         return compose(moment.pose, displacement)
 
     def _motion(
@@ -238,11 +274,43 @@ class Simulation(nn.Module):
         command, *before = commands
         previous = self._known(before[0], self.command_at_rest.expand_as(command))
         filled = [command, previous, self._known(before[1], previous)]
-        motion = period_motion(self.mechanisms, self._twists(moment, filled), memory)
-        displacement = motion.displacement
+        if "velocity" in self.dynamics.inputs:
+            displacement, memory = self._motion_with_momentum(moment, filled, memory)
+        else:
+            displacement, memory = period_motion(self.mechanisms, self._twists(moment, filled), memory)
         if self.residual:
             displacement = exp_map(log_map(displacement) + self.residual.twist(moment, command, previous))
-        return displacement, motion.memory
+        return displacement, dict(memory)
+
+    def _motion_with_momentum(
+        self, moment: Moment, commands: Sequence[Tensor], memory: Mapping[str, Tensor]
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the same of a dynamics model that goes on from its own velocity, by the settings in force."""
+        moment = replace(moment, velocity=memory.get(OWN_VELOCITY, moment.velocity))
+        twists, delays = self._twists(moment, commands), Delays.of(self.mechanisms, self.robot.period_s)
+        command, previous, earlier = twists.commands
+        before = InForce.of_memory(memory) or InForce.after_two(previous, earlier, delays)
+        now = before.followed_by(command, previous, delays)
+        twists = replace(twists, commands=commands_for(self.robot, before, now))
+        kept = {name: values for name, values in memory.items() if name not in {OWN_VELOCITY, *now.memory()}}
+        displacement, kept = period_motion(self._at_once, twists, kept)
+        return displacement, kept | now.memory() | {OWN_VELOCITY: twists.velocity_after()}
+
+    def _from_own_velocity(self, twists: BaseTwists, measured: Tensor, rounds: int = 8) -> Moment:
+        """Return the moment with the velocity from which the dynamics model goes on, where the measured one is known.
+
+        That velocity which mechanisms make the measured one of, when vehicles go on as they did: by repetition.
+        """
+        moment, shown = twists.moment, twists.moment.velocity
+        assert shown is not None
+        period_s = self.robot.period_s
+        moment, own = replace(moment, duration_s=torch.full_like(moment.duration_s, period_s)), shown
+        for _ in range(rounds):
+            moving = replace(twists, moment=replace(moment, velocity=own)).moving_on()
+            motion = period_motion(self._at_once, moving, remembered_after_two(self._at_once, moving))
+            end = self.to_measured(compose(moment.pose, motion.displacement))
+            own = own + shown - log_map(displacement_between(measured, end)) / period_s
+        return replace(twists.moment, velocity=own)
 
     def _twists(self, moment: Moment, commands: Sequence[Tensor]) -> BaseTwists:
         """Prepare to ask the dynamics model for commands (N, m) as sent."""

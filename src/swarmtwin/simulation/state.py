@@ -18,6 +18,8 @@ class State:
         elapsed_s: (W, K) time since the session began.
         previous_command: (W, K, m) the command that was in force last; NaN where none was.
         earlier_command: (W, K, m) the command in force before that one; NaN where none was.
+        velocity: (W, K, 3) forward_mm_s, left_mm_s, turn_rad_s, the twist of the last simulated displacement over its
+            duration; 0 at the start.
         memory: what actuators and mechanisms carry on, each (W, K, ...), by name.
     """
 
@@ -25,6 +27,7 @@ class State:
     elapsed_s: Tensor
     previous_command: Tensor
     earlier_command: Tensor
+    velocity: Tensor
     memory: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
@@ -48,11 +51,13 @@ class State:
 
     def parts(self) -> dict[str, Tensor]:
         """Return all its tensors by name, for a checkpoint; those of the memory begin with `memory: `."""
-        named = {name: getattr(self, name) for name in ("pose", "elapsed_s", "previous_command", "earlier_command")}
+        names = ("pose", "elapsed_s", "previous_command", "earlier_command", "velocity")
+        named = {name: getattr(self, name) for name in names}
         return named | {f"memory: {name}": values for name, values in self.memory.items()}
 
     @classmethod
     def of_parts(cls, parts: Mapping[str, Tensor]) -> "State":
-        """Put a state together from its `parts`."""
+        """Put a state together from its `parts`; those of a checkpoint of an old version have no velocity."""
+        parts = {"velocity": torch.zeros_like(parts["pose"]), **parts}
         memory = {name.removeprefix("memory: "): part for name, part in parts.items() if name.startswith("memory: ")}
         return cls(**{name: part for name, part in parts.items() if not name.startswith("memory: ")}, memory=memory)

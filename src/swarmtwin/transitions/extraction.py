@@ -82,6 +82,7 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
         listed = ", ".join(f"{name} {count}" for name, count in counts.dropped.items())
         raise UserError(f"recording of robot {robot.name!r}: no transition is left of {len(start)}, dropped: {listed}")
     previous_command, earlier_command = _commands_before(rows, robot)
+    start = start[kept]
     transitions = Transitions(
         robot=robot,
         arena_mm=recording.header.arena_mm,
@@ -89,17 +90,17 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
         previous_command=previous_command[start],
         earlier_command=earlier_command[start],
         pose=rows.pose[start],
-        displacement=displacement,
+        displacement=displacement[kept],
         neighbours=_neighbours(rows, start, doubtful, recording),
         time_s=rows.time_s[start],
-        duration_s=duration_s,
+        duration_s=duration_s[kept],
         run=rows.run[start],
         vehicle=rows.vehicle[start],
         split=np.full(len(start), SPLITS.index("train"), dtype=np.int8),
         runs=recording.runs,
         vehicles=recording.vehicles,
     )
-    return transitions.where(kept), counts
+    return transitions, counts
 
 
 def _first_reason(

@@ -77,7 +77,7 @@ def _joined(parts: list[Transitions]) -> Transitions:
     }
     most = max(part.neighbours.shape[1] for part in parts)
     columns["neighbours"] = np.concatenate([_widened(part.neighbours, most) for part in parts])
-    for name in ("previous_command", "earlier_command", "pose", "time_s", "neighbours"):
+    for name in ("previous_command", "earlier_command", "pose", "velocity", "time_s", "neighbours"):
         if any(len(part) and np.isnan(getattr(part, name)).all() for part in parts):
             columns[name] = np.full_like(columns[name], np.nan)
     columns["run"] = _renumbered([(part.run, part.runs) for part in parts], runs)

@@ -12,12 +12,14 @@ import pyarrow.parquet
 
 from swarmtwin.files import check_regular
 from swarmtwin.recordings.recording import fault
-from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, Arena, Robot, SituationPart
+from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS, VELOCITY_COLUMNS, Arena, Robot, SituationPart
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 
 def write_transitions(file: Path, transitions: Transitions, beside: Mapping[str, np.ndarray] | None = None) -> None:
     """Write transitions to `file`; those that have K neighbours get columns `neighbour_1_forward_mm` and so on.
+
+    Velocities are written where the robot's models are given them; else they follow from the transitions before.
 
     Args:
         file: `.parquet`.
@@ -27,6 +29,7 @@ def write_transitions(file: Path, transitions: Transitions, beside: Mapping[str,
     most = transitions.neighbours.shape[1]
     names = situation_columns(transitions.robot, most)
     neighbours = transitions.neighbours.reshape(len(transitions), 3 * most)
+    velocity = zip(names["velocity"], transitions.velocity.T, strict=True)
     columns: dict[str, Any] = {
         "run": _named(transitions.run, transitions.runs),
         "vehicle": _named(transitions.vehicle, transitions.vehicles),
@@ -38,6 +41,7 @@ def write_transitions(file: Path, transitions: Transitions, beside: Mapping[str,
         **dict(zip(names["earlier_command"], transitions.earlier_command.T, strict=True)),
         **dict(zip(names["pose"], transitions.pose.T, strict=True)),
         **dict(zip(DISPLACEMENT_COLUMNS, transitions.displacement.T, strict=True)),
+        **(dict(velocity) if "velocity" in transitions.robot.situation else {}),
         **dict(zip(names["neighbours"], neighbours.T, strict=True)),
         **(beside or {}),
     }
@@ -54,6 +58,7 @@ def read_transitions(file: Path, remedy: str) -> Transitions:
     """Read the transitions in `file`, their robot inside.
 
     A file of an old version has no neighbours, its earlier commands are NaN, and its arena is the robot's usual one.
+    Where there are no columns of velocities, they are taken from the transitions before.
 
     Raises:
         UserError: the file is missing or damaged; `remedy` is what to do about it.
@@ -74,6 +79,7 @@ def read_transitions(file: Path, remedy: str) -> Transitions:
             pose=_stacked(table, names["pose"]),
             displacement=_stacked(table, DISPLACEMENT_COLUMNS),
             neighbours=_neighbours(table, names["neighbours"]),
+            **_velocity(table, names["velocity"]),
             time_s=table.column("time_s").to_numpy(),
             duration_s=table.column("duration_s").to_numpy(),
             run=_index(table, "run", runs := tuple(json.loads(metadata["runs"]))),
@@ -96,6 +102,7 @@ def situation_columns(robot: Robot, neighbours: int) -> dict[SituationPart, tupl
         "previous_command": tuple(f"previous_{name}" for name in commands),
         "earlier_command": tuple(f"earlier_{name}" for name in commands),
         "pose": POSE_COLUMNS,
+        "velocity": VELOCITY_COLUMNS,
         "elapsed_s": ("time_s",),
         "duration_s": ("duration_s",),
         "neighbours": others,
@@ -123,6 +130,11 @@ def _earlier_command(table: pa.Table, columns: tuple[str, ...]) -> np.ndarray:
     if not set(columns) & set(table.column_names):
         return np.full((len(table), len(columns)), np.nan)
     return _stacked(table, columns)
+
+
+def _velocity(table: pa.Table, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Return the velocities (N, 3), if the file has columns for them."""
+    return {"velocity": _stacked(table, columns)} if set(columns) & set(table.column_names) else {}
 
 
 def _neighbours(table: pa.Table, columns: tuple[str, ...]) -> np.ndarray:

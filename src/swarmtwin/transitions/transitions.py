@@ -2,11 +2,12 @@
 
 import dataclasses
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Self
 
 import numpy as np
 
+from swarmtwin.geometry import log_map
 from swarmtwin.robot import Arena, Robot
 
 Split = Literal["train", "validation", "test"]
@@ -35,6 +36,10 @@ class Transitions:
         split: (N,) index into `SPLITS`; all transitions of a run are in the same split.
         runs: names of the runs.
         vehicles: ids of the vehicles.
+        velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s: the twist of the displacement of the period before, over
+            its measured length. A constant twist is the same at its beginning and at its end, so it is in the vehicle's
+            frame at the start. A row of NaN where no transition ends at the start: the first row of a run, after a gap,
+            after what was dropped. It carries the noise of two measured poses. Left out: taken from these transitions.
     """
 
     robot: Robot
@@ -52,6 +57,11 @@ class Transitions:
     split: np.ndarray
     runs: tuple[str, ...]
     vehicles: tuple[str, ...]
+    velocity: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
+
+    def __post_init__(self) -> None:
+        if len(self.velocity) != len(self):
+            object.__setattr__(self, "velocity", self._velocity())
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -67,20 +77,31 @@ class Transitions:
         before[1:][same] = np.flatnonzero(same)
         return before
 
+    def _velocity(self) -> np.ndarray:
+        """Return (N, 3) the twist with which the transition just before each one ends, NaN where there is none."""
+        before = self.just_before()
+        twist = log_map(self.displacement) / self.duration_s[:, None]
+        return np.where((before >= 0)[:, None], twist[before], np.nan)
+
     def where(self, chosen: np.ndarray) -> Self:
         """Return the transitions chosen by a mask (N,) or by indices; `runs` and `vehicles` stay, so indices hold."""
         arrays = {
-            field.name: value[chosen]
-            for field in dataclasses.fields(self)
-            if isinstance(value := getattr(self, field.name), np.ndarray)
+            part.name: value[chosen]
+            for part in dataclasses.fields(self)
+            if isinstance(value := getattr(self, part.name), np.ndarray)
         }
         return dataclasses.replace(self, **arrays)
 
     def digest(self) -> str:
-        """Identify the content: every number, and the names of the runs and vehicles."""
+        """Identify the content: every number, and the names of the runs and vehicles.
+
+        Velocities count where the robot's models are given them; otherwise they follow from the rest.
+        """
         content = hashlib.sha256(repr((self.runs, self.vehicles)).encode())
-        for field in dataclasses.fields(self):
-            if isinstance(value := getattr(self, field.name), np.ndarray):
+        for part in dataclasses.fields(self):
+            if part.name == "velocity" and "velocity" not in self.robot.situation:
+                continue
+            if isinstance(value := getattr(self, part.name), np.ndarray):
                 content.update(value.tobytes())
         return content.hexdigest()[:16]
 

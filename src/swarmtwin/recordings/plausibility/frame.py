@@ -102,10 +102,11 @@ def _frames(motion: ObservedMotion) -> dict[str, Callable[[np.ndarray], np.ndarr
     downwards = "does y point down, as in a camera's picture? Replace y_mm by the arena's height − y_mm"
     mirrored = f"{downwards}, and heading_rad by −heading_rad"
     actuators = motion.robot.actuation
-    if actuators.kind == "wheel" and actuators.effort:
+    if actuators.kind == "wheel" and len(actuators.effort) > 1:
         mirrored = f"are {' and '.join(actuators.effort)} exchanged? Exchange the columns; or {mirrored}"
-    elif actuators.kind == "wheel":
-        mirrored = f"does {motion.robot.command_columns[1]} count clockwise? Multiply it by −1; or {mirrored}"
+    elif actuators.kind == "wheel" and len(motion.robot.command) > 1:
+        steering = actuators.steering or motion.robot.command_columns[1]
+        mirrored = f"does {steering} count clockwise? Multiply it by −1; or {mirrored}"
     quarter, half = np.array([0, 0, np.pi / 2]), np.array([0, 0, np.pi])
     compass = "do headings count clockwise from the y axis? Replace heading_rad by 1.5708 − heading_rad"
     return {

@@ -1,4 +1,4 @@
-"""Left and right differ, or the fin's trim is off."""
+"""Left and right differ, or the trim of what steers is off."""
 
 import math
 from collections.abc import Mapping
@@ -13,11 +13,11 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):
-    """The left wheel is faster than the right one by `ratio`, their geometric mean unchanged; or a fin is askew.
+    """The left wheel is faster than the right one by `ratio`, their geometric mean unchanged; or what steers is askew.
 
     Attributes:
         ratio: of wheels.
-        angle_rad: of what is steered by an angle.
+        angle_rad: of what is steered by an angle: a fin, or wheels.
     """
 
     stage: ClassVar = "actuators"
@@ -34,20 +34,18 @@ class Config(Mechanism):
 
     @classmethod
     def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
-        """Wheels need a track, thrust a steering angle."""
-        return bool(cls.parameters_of(robot, conditions)) and (
-            robot.actuation.kind == "thrust" or bool(conditions.track_mm)
-        )
+        """Take any steering angle, and wheels without one if their track is known."""
+        return bool(robot.actuation.steering) or (robot.actuation.kind == "wheel" and bool(conditions.track_mm))
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
-        """Ask wheels for a ratio, steered thrust for an angle."""
-        if robot.actuation.kind == "wheel":
-            return {"ratio": cls.parameters["ratio"]}
-        return {"angle_rad": cls.parameters["angle_rad"]} if robot.actuation.steering else {}
+        """Ask what is steered for an angle, other wheels for a ratio."""
+        if robot.actuation.steering:
+            return {"angle_rad": cls.parameters["angle_rad"]}
+        return {"ratio": cls.parameters["ratio"]} if robot.actuation.kind == "wheel" else {}
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
-        """Turn the fin."""
+        """Turn what steers."""
         steering = moment.robot.actuation.steering
         if self.angle_rad is None or steering is None:
             return command

@@ -26,6 +26,11 @@ class Config(Mechanism):
     time_constant_s: float
 
     @classmethod
+    def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
+        """Know what lags: a speed or a setting."""
+        return robot.actuation.kind != "unknown"
+
+    @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Allow a period at most."""
         period_s = robot.period_s

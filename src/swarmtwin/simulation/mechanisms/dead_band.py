@@ -24,6 +24,11 @@ class Config(Mechanism):
     width: float
 
     @classmethod
+    def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
+        """Know which columns are efforts."""
+        return robot.actuation.kind == "wheel" or bool(robot.actuation.effort)
+
+    @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Give the width in the command's unit."""
         high = 0.7 * effort_limit(robot)

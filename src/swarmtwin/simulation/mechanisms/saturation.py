@@ -22,6 +22,11 @@ class Config(Mechanism):
     limit: float
 
     @classmethod
+    def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
+        """Know which columns are efforts."""
+        return robot.actuation.kind == "wheel" or bool(robot.actuation.effort)
+
+    @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Give the limit in the command's unit."""
         high = effort_limit(robot)
