@@ -9,6 +9,8 @@ import pandas as pd
 import pytest
 
 from swarmtwin.commands.app import run_command
+from swarmtwin.diagnosis.report.sentences import verdict_words
+from swarmtwin.diagnosis.saved_diagnosis import read_result
 from swarmtwin.dynamics.evaluation import predict
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.recordings.reading import read_recording
@@ -91,6 +93,33 @@ def test_its_run_names_reference_and_measured_session_with_digests_of_their_own(
         ("reference", "reference", recordings["reference"].digest[:36]),
         ("sag", "measured", recordings["sag"].digest[:36]),
     }
+
+
+def test_its_run_says_in_a_sentence_what_was_found_and_keeps_the_report(diagnosed):
+    (run,) = mlflow.search_runs(
+        experiment_names=["diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
+    )
+    note = run.data.tags["mlflow.note.content"]
+    assert note == verdict_words(read_result(diagnosed))
+    assert "of their speed by the session's end" in note
+    assert "charge or exchange the battery" in note
+    kept = {file.path for file in mlflow.MlflowClient().list_artifacts(run.info.run_id, "diagnosis")}
+    assert {"diagnosis/report.html", "diagnosis/diagnosis.json"} <= kept
+
+
+def test_the_result_keeps_how_probable_the_leading_sets_are(diagnosed):
+    diagnosis = read_result(diagnosed)
+    sets = {one.causes: one for one in diagnosis.posterior}
+    assert diagnosis.posterior[0].causes == ("battery_sag",)
+    assert len(sets) == len(diagnosis.posterior) <= 8
+    assert sets["battery_sag",].log_evidence > 100
+    assert sets[()].log_evidence == 0
+    assert sum(one.probability for one in diagnosis.posterior) <= 1 + 1e-5
+    together = sum(one.probability for one in diagnosis.posterior if "battery_sag" in one.causes)
+    assert together == pytest.approx(diagnosis.causes[0].confidence, abs=1e-3)
+    limits = {limit.cause: limit for limit in diagnosis.detection_limits}
+    assert {"battery_sag", "command_delay", "command_loss", "noise_change", "dead_band"} <= limits.keys()
+    assert limits["battery_sag"].value < diagnosis.causes[0].parameters["loss"].value
 
 
 def test_what_held_out_runs_do_not_confirm_is_neither_named_nor_kept_nor_registered(drives, tmp_path, capfd):

@@ -60,15 +60,27 @@ def steady_spread(way):
 
 
 def session_of(
-    base, rng, moved=as_simulated, seen=as_it_is, spread=steady_spread, camera=None, runs=60, steps=30, vehicle="1"
+    base,
+    rng,
+    moved=as_simulated,
+    seen=as_it_is,
+    spread=steady_spread,
+    camera=None,
+    runs=60,
+    steps=30,
+    vehicle="1",
+    command=None,
 ):
     """Drive R vehicles by random commands: `moved` says where they truly go, `seen` what the camera measures of it.
 
+    Instead of random ones, commands (steps, R, m) may be given.
     Gaussian noise of standard deviation `spread` is added to the ways, and of `camera` to the measured poses.
     """
     robot = base.robot
     rest = np.clip(np.zeros(len(robot.command)), robot.command_low, robot.command_high)
-    command = rng.uniform(robot.command_low, robot.command_high, (steps, runs, len(robot.command)))
+    if command is None:
+        command = rng.uniform(robot.command_low, robot.command_high, (steps, runs, len(robot.command)))
+    steps, runs = command.shape[:2]
     previous = np.concatenate([np.tile(rest, (1, runs, 1)), command[:-1]])
     arena = robot.arena_mm
     inner = arena.low_mm + 0.3 * (arena.high_mm - arena.low_mm), arena.low_mm + 0.7 * (arena.high_mm - arena.low_mm)

@@ -1,5 +1,6 @@
 """The report: its numbers are those of the diagnosis, and every verdict has its page."""
 
+import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -20,6 +21,7 @@ from diagnosis_factories import (
 )
 
 from swarmtwin.diagnosis.report.page import draw_diagnosis, gain_bars, leading_pictures
+from swarmtwin.diagnosis.report.posterior_plot import posterior_figure, shown_sets
 from swarmtwin.diagnosis.report.residual_fields import field_choices
 from swarmtwin.diagnosis.report.residual_plots import runs_figure
 from swarmtwin.diagnosis.report.sentences import (
@@ -28,15 +30,29 @@ from swarmtwin.diagnosis.report.sentences import (
     dependence_words,
     estimate_words,
     gain_words,
+    next_recording_words,
     odds_words,
-    remedies,
     verdict_words,
 )
-from swarmtwin.diagnosis.result import Dependence, Estimate, Gain
-from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, save_findings
+from swarmtwin.diagnosis.result import CauseSet, Dependence, DetectionLimit, Estimate, Gain
+from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, read_result, save_findings
 from swarmtwin.kinematics import differential_drive
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names
+
+POSTERIOR = (
+    CauseSet(causes=("command_delay",), probability=0.97, log_evidence=312.0),
+    CauseSet(causes=("actuator_lag", "backlash", "steady_drift", "marker_yaw"), probability=0.029, log_evidence=310.0),
+    CauseSet(causes=(), probability=1e-13, log_evidence=0.0),
+)
+LIMITS = (
+    DetectionLimit(
+        cause="command_delay", parameter="delay_s", value=0.0226, unit="s", share_of_range=0.05, rival="actuator_lag"
+    ),
+    DetectionLimit(cause="gain_change", parameter="gain", value=1.0564, unit="", share_of_range=0.02),
+    DetectionLimit(cause="battery_sag", parameter="loss", value=0.0631, unit="", share_of_range=0.06),
+    DetectionLimit(cause="lens_distortion", parameter="coefficient", value=None, unit="", share_of_range=1.0),
+)
 
 
 class Page(HTMLParser):
@@ -73,18 +89,20 @@ def page_of(session, folder):
 def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     diagnosis = made_result(causes=(DELAY, YAW))
     page = page_of(made_session(diagnosis, moved_late), tmp_path)
-    assert "because commands act 0.15 s late; and the marker is turned by −5.7° on the vehicle." in page.above
+    assert (
+        "The robot departs from the simulation because commands act 0.15 s late (or it is actuator lag) – check "
+        "network, broker and camera for latency; and because the marker is turned by −5.7° on the vehicle – glue the "
+        "marker on straight, or enter its angle."
+    ) in page.above
     for said in (
         "Command delay : commands act 0.15 s (0.13 to 0.17) late.",
         "Marker yaw : the marker is turned by −5.7° (−6.9 to −4.6) on the vehicle.",
-        "Accounts for 93 % of what can be explained; fits best in 99 % of resampled sessions",
+        "99 % sure; accounts for 93 % of what can be explained",
         "It could as well be actuator lag: with the commands driven here, the robot would move the same within its "
-        "noise; see below which drive tells them apart",
+        "noise; the drive below tells them apart",
         "before 8.61 mm after 1.82 mm −6.8 mm (−7.1 to −6.5), −79",
         "before 12.4° after 3.0° −9.4° (−9.6 to −9.1), −75",
         "before 214 mm after 31 mm −183 mm (−205 to −160), −86",
-        "check network, broker and camera for latency",
-        "glue the marker on straight",
         "20 runs of 40 steps with the commands in next_drive.csv",
         NEXT.command,
     ):
@@ -93,6 +111,75 @@ def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     assert "previous command yes 0.0005 20.0 % 3.25" in page.text
     assert "17 fitted to, 7 held out" in page.text
     assert "960 used, 12 set aside" in page.text
+
+
+def test_the_page_begins_with_what_to_do_and_goes_on_in_the_order_that_a_supervisor_asks(tmp_path):
+    diagnosis = made_result(posterior=POSTERIOR, detection_limits=LIMITS)
+    text = page_of(made_session(diagnosis, moved_late), tmp_path).above
+    order = ("check network", "Where it shows", "How sure that is", "Before and after", "What this recording could not")
+    places = [text.index(heading) for heading in order]
+    assert places == sorted(places)
+    assert (tmp_path / "figures" / "posterior.png").exists()
+
+
+def test_limits_are_on_the_page_with_what_a_smaller_effect_is_taken_for(tmp_path):
+    page = page_of(made_session(made_result("no_gap", detection_limits=LIMITS), moved_as_simulated), tmp_path)
+    assert "command delay delay 0.023 s actuator lag" in page.text
+    assert "gain change gain 1.056" in page.text
+    assert "battery sag loss 6.3 %" in page.text
+    assert "lens distortion coefficient not at any value" in page.text
+    assert "it would have been named in nine of ten such recordings" in page.above
+
+
+def test_the_posterior_is_drawn_with_readable_labels_and_what_it_says():
+    figure = posterior_figure(POSTERIOR)
+    panel = figure.axes[0]
+    assert [label.get_text().replace("\n", " ") for label in panel.get_yticklabels()] == [
+        "command delay",
+        "actuator lag + backlash + steady drift + marker yaw",
+        "nothing is wrong",
+    ]
+    assert max(len(line) for label in panel.get_yticklabels() for line in label.get_text().split("\n")) <= 34
+    np.testing.assert_allclose([bar.get_width() for bar in panel.patches], [97.0, 2.9, 1e-11])
+    assert [text.get_text().replace("\N{NO-BREAK SPACE}", " ") for text in panel.texts] == [
+        "97 %",
+        "2.9 %",
+        "under 0.1 %",
+    ]
+    assert posterior_figure(()) is None
+
+
+def test_at_most_eight_sets_are_drawn_nothing_wrong_among_them():
+    many = [CauseSet(causes=(f"cause_{number}",), probability=0.09, log_evidence=1.0) for number in range(11)]
+    nothing = CauseSet(causes=(), probability=1e-9, log_evidence=0.0)
+    assert shown_sets([*many, nothing]) == [*many[:7], nothing]
+    assert shown_sets([many[0], many[1].model_copy(update={"probability": 1e-5}), nothing])[1].probability == 1e-5
+    assert len(shown_sets([many[0], *(one.model_copy(update={"probability": 1e-5}) for one in many[1:]), nothing])) == 3
+
+
+def test_a_result_of_before_there_was_a_posterior_is_still_read(tmp_path):
+    diagnosis = made_result(posterior=POSTERIOR, detection_limits=LIMITS)
+    save_findings(tmp_path, made_session(diagnosis, moved_late))
+    assert read_result(tmp_path).posterior == POSTERIOR
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    del content["posterior"]
+    for limit in content["detection_limits"]:
+        del limit["rival"]
+    del content["next_recording"]["lowers"]
+    (tmp_path / "diagnosis.json").write_text(json.dumps(content))
+    assert read_result(tmp_path).posterior == ()
+    draw_diagnosis(tmp_path, tmp_path)
+    assert not (tmp_path / "figures" / "posterior.png").exists()
+
+
+def test_what_to_record_next_where_nothing_is_wrong_is_said():
+    plan = NEXT.model_copy(
+        update={"separates": (), "lowers": {"command_delay": 0.6, "backlash": 0.71, "dead_band": 0.8}}
+    )
+    assert next_recording_words(plan).replace("\N{NO-BREAK SPACE}", " ") == (
+        "To see smaller effects, record next 20 runs of 40 steps with the commands in next_drive.csv. It would show "
+        "command delay from 60 %, backlash from 71 % and dead band from 80 % of the sizes below."
+    )
 
 
 def test_a_report_is_made_of_what_was_diagnosed(tmp_path):
@@ -120,15 +207,19 @@ def test_nobody_must_know_statistics_to_read_what_is_not_folded_away(tmp_path):
 @pytest.mark.parametrize(
     ("verdict", "changes", "sentence"),
     [
-        ("no_gap", {}, "Nothing is wrong: the simulation does what the robot did"),
+        ("no_gap", {}, "Nothing is wrong: the robot does what the simulation says"),
         ("explained", {}, "The robot departs from the simulation because commands act"),
-        ("unexplained", {}, "partly because commands act 0.15 s late. Something else remains"),
-        ("unexplained", {"causes": (), "extension": "learned_residual"}, "and no known cause explains it"),
+        ("unexplained", {}, "latency; something else is wrong that has no name – look for what changed, or"),
+        (
+            "unexplained",
+            {"causes": (), "extension": "learned_residual"},
+            "no known cause explains it – look for what changed and goes with the command and the previous command, or",
+        ),
         ("unexplained", {"causes": (), "extension": "none", "next_recording": None}, "and no known cause explains it"),
         (
             "unexplained",
             {"causes": (), "not_confirmed": "held-out runs do not confirm x"},
-            "explains it: held-out runs do",
+            "What was found is not kept: held-out runs do not confirm x.",
         ),
     ],
 )
@@ -174,7 +265,7 @@ def test_a_page_is_made_of_next_to_nothing(tmp_path):
     session = made_session(made_result("unexplained"), moved_late, runs=2, steps=10)
     nowhere = replace(session, runs_before=(), runs_after=())
     page = page_of(nowhere, tmp_path)
-    assert "Where it shows" not in page.above
+    assert "Errors are counted" not in page.above
     assert [file.name for file in (tmp_path / "figures").iterdir()] == ["spread.png"]
 
 
@@ -227,9 +318,13 @@ def test_every_cause_of_the_catalogue_has_its_sentence(robots, name):
 @pytest.mark.parametrize(
     ("gain", "ratio", "said"),
     [
-        (0.922, 0.85, "because the left wheel runs at 0.85 of its speed."),
-        (0.922, 1.176, "because the right wheel runs at 0.85 of its speed."),
-        (0.95, 0.85, "every actuator runs at 0.950 times its speed; and left and right differ: 0.850."),
+        (0.922, 0.85, "because the left wheel runs at 0.85 of its speed – check its motor, gear and tyre."),
+        (0.922, 1.176, "because the right wheel runs at 0.85 of its speed – check its motor, gear and tyre."),
+        (
+            0.95,
+            0.85,
+            "learn the simulation anew; and because left and right differ: 0.850 – compare the wheels or motors, or ",
+        ),
     ],
 )
 def test_one_weak_wheel_is_told_as_one(gain, ratio, said):
@@ -239,15 +334,16 @@ def test_one_weak_wheel_is_told_as_one(gain, ratio, said):
         DELAY.model_copy(
             update={
                 "name": name,
+                "rivals": (),
                 "parameters": {of: Estimate(value=value, low=value - 0.005, high=value + 0.005, unit="")},
             }
         )
         for name, (of, value) in values.items()
     )
     result = made_result(causes=causes)
-    assert said in verdict_words(result)
-    named = [what for what, _ in remedies(result)]
-    assert named == ([f"{said.split()[2]} wheel"] if "wheel" in said else ["gain change", "actuator asymmetry"])
+    sentence = verdict_words(result).replace("\N{NO-BREAK SPACE}", " ")
+    assert said in sentence
+    assert sentence.count(" – ") == (1 if "wheel runs" in said else 2)
 
 
 def test_gains_may_be_losses_and_errors_nothing():
@@ -267,11 +363,11 @@ def test_odds_are_round_numbers():
 @pytest.mark.parametrize(
     ("name", "depends_on", "leading"),
     [
-        ("battery_sag", ("spread", "command", "time"), ["time", "command", "runs"]),
-        ("surface_patch", ("command", "wall_distance", "tails"), ["place", "command", "runs"]),
-        ("gain_change", ("spread", "command"), ["command", "spread", "runs"]),
-        ("marker_yaw", ("previous_command",), ["previous_command", "runs"]),
-        ("noise_change", ("spread", "tails"), ["spread", "runs"]),
+        ("battery_sag", ("spread", "command", "time"), ["time", "command"]),
+        ("surface_patch", ("command", "wall_distance", "tails"), ["place", "command"]),
+        ("gain_change", ("spread", "command"), ["command", "spread"]),
+        ("marker_yaw", ("previous_command",), ["previous_command"]),
+        ("noise_change", ("spread", "tails"), ["spread"]),
     ],
 )
 def test_what_the_cause_looks_at_is_shown_first_where_it_shows(name, depends_on, leading):

@@ -12,6 +12,7 @@ from swarmtwin.diagnosis.diagnose import diagnose
 from swarmtwin.diagnosis.diagnosis_folder import EXTENDED, extension_provenance, save_diagnosis
 from swarmtwin.diagnosis.reference_inputs import reference_for
 from swarmtwin.diagnosis.report.page import draw_diagnosis
+from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.result import DiagnosedSession, DiagnosisResult, Gain
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.evaluation import one_step_errors
@@ -95,6 +96,7 @@ def run(options: Options) -> dict[str, Any]:
         tracked.warnings(measured.warnings)
         registered = _registered(options, tracked, inside, diagnosed)
     Console().print(table(diagnosed.result))
+    Console().print(verdict_words(diagnosed.result), highlight=False, markup=False, soft_wrap=True)
     page = "report.html" if options.pictures else "diagnosis.json"
     Console().print(f"{output / page}: {registered}", highlight=False, soft_wrap=True)
     return {
@@ -116,6 +118,7 @@ def _track(tracked: TrackedRun, output: Path, diagnosed: DiagnosedSession) -> No
     )
     for cause in diagnosis.causes:
         tracked.metrics({f"{cause.name}_{name}": one.value for name, one in cause.parameters.items()})
+    tracked.note(verdict_words(diagnosis))
     tracked.tag("verdict", diagnosis.verdict)
     tracked.tag("causes", ", ".join(cause.name for cause in diagnosis.causes) or "none")
     tracked.folder(output, "diagnosis")

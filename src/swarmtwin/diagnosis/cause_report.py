@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.estimation import EstimatedSet
 from swarmtwin.diagnosis.left_over import Explanation, MotionNoiseChange
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.result import Cause, Estimate
+from swarmtwin.diagnosis.result import Cause, CauseSet, Estimate
 from swarmtwin.simulation.mechanism import Mechanism
 
 
@@ -32,6 +33,16 @@ def reported_causes(explained: Explanation, rng: np.random.Generator) -> tuple[C
     if explained.names_motion_noise:
         causes.append(_noise_cause(explained.motion_noise, 0.0 if causes else 1.0))
     return tuple(sorted(causes, key=lambda cause: -cause.share_of_gap))
+
+
+def leading_sets(posterior: CausePosterior, most: int) -> tuple[CauseSet, ...]:
+    """Return the most probable sets of causes, at most so many; that of no cause is one of them."""
+    sets = [
+        CauseSet(causes=names, probability=min(probability, 1.0), log_evidence=evidence)
+        for names, probability, evidence in posterior.by_names()
+    ]
+    leading, nothing = sets[:most], [one for one in sets[most:] if not one.causes]
+    return (*leading[: most - len(nothing)], *nothing)
 
 
 def _missed_nats(explained: Explanation, name: str) -> float:

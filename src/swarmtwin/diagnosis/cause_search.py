@@ -26,11 +26,13 @@ class CausePosterior:
         sets: all that were fitted, the most probable first.
         log_probability: of each, normalised over them.
         nothing: the set of no cause.
+        log_odds_against: of each cause beforehand, what is too little to matter included: nats.
     """
 
     sets: tuple[EstimatedSet, ...]
     log_probability: np.ndarray
     nothing: EstimatedSet
+    log_odds_against: float
 
     @property
     def best(self) -> EstimatedSet:
@@ -51,6 +53,24 @@ class CausePosterior:
                     if other not in self.best.names:
                         shared[other] = shared.get(other, 0.0) + float(np.exp(log))
         return tuple(sorted((other for other, held in shared.items() if held >= least), key=lambda o: -shared[o]))
+
+    def by_names(self) -> list[tuple[tuple[str, ...], float, float]]:
+        """Return each set of names with its probability and its log evidence over nothing, the most probable first.
+
+        Sets of the same names, whose causes take other forms, are one: their probabilities add up, and the evidence is
+        the mean over the forms.
+        """
+        together: dict[frozenset[str], list[float]] = {}
+        names: dict[frozenset[str], tuple[str, ...]] = {}
+        for one, log in zip(self.sets, self.log_probability, strict=True):
+            names.setdefault(frozenset(one.names), one.names)
+            together.setdefault(frozenset(one.names), []).append(float(log))
+        logs = {key: float(np.logaddexp.reduce(of_forms)) for key, of_forms in together.items()}
+        ordered = sorted(logs, key=lambda key: -logs[key])
+        nothing = logs[frozenset()]
+        return [
+            (names[key], math.exp(logs[key]), logs[key] - nothing + len(key) * self.log_odds_against) for key in ordered
+        ]
 
     def without(self, name: str) -> EstimatedSet:
         """Return the most probable set without a cause."""
@@ -145,7 +165,7 @@ class CauseSearch:
         ordered = sorted(self.fitted.values(), key=self.score, reverse=True)
         scores = np.array([self.score(one) for one in ordered])
         logs = scores - np.logaddexp.reduce(scores)
-        return CausePosterior(tuple(ordered), logs, nothing)
+        return CausePosterior(tuple(ordered), logs, nothing, needed_nats(self.settings, len(self.model.session)))
 
     def _tell(self, stage: str, done: int, whole: int) -> None:
         if self.progress:

@@ -1,63 +1,172 @@
 """Step 4. The smallest effect of each cause that a session would have shown: what "no gap" means."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import needed_nats
+from swarmtwin.diagnosis.gains import confirmed_from
 from swarmtwin.diagnosis.left_over import Explanation
+from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.random_limits import loss_limit, noise_limit
 from swarmtwin.diagnosis.result import DetectionLimit
 from swarmtwin.diagnosis.screening import Candidate, candidates
-from swarmtwin.simulation.mechanism import offered
+from swarmtwin.diagnosis.sized_causes import Rivals, SizedCause, Surroundings
+from swarmtwin.simulation.mechanism import Mechanism, offered
 
 
-def detection_limits(explained: Explanation) -> tuple[DetectionLimit, ...]:
-    """Return for each cause that is not there the smallest size that would have been named with a probability of 90 %.
+@dataclass(frozen=True)
+class FoundLimit:
+    """A limit, with the mechanisms that it is about.
 
-    A cause is named where its evidence exceeds the prior odds against it, those of its probability, and the price of
-    its parameters. The nats that an effect of a size brings are normal about half its squared length in units of the
-    noise, all that is no gap integrated out; the length grows in proportion to the size.
+    Attributes:
+        limit: as it is reported.
+        mechanism: the cause at its limit, as large as it may be where no value would be named; None where it moves no
+            mean.
+        rival: what a smaller one would be taken for, with the values that come nearest; None where for nothing.
+    """
+
+    limit: DetectionLimit
+    mechanism: Mechanism | None = None
+    rival: Mechanism | None = None
+
+
+def detection_limits(
+    explained: Explanation,
+    unfitted: SessionLikelihood | None = None,
+    kinds: Mapping[str, MechanismClass] | None = None,
+) -> tuple[FoundLimit, ...]:
+    """Return for each cause the smallest size that would have been named with a probability of 90 %, by its name.
+
+    Three things must come true; each follows from the likelihood of what was measured. The nats that an effect brings,
+    normal about half its squared length in units of the noise, all that is no gap integrated out, exceed the prior
+    odds, those of being named, and the price of its parameters. The session speaks for it and not for another cause
+    that imitates it as well as it can. And errors fall measurably on the held-out runs. Lost commands and noise, which
+    move no mean, are counted by what they bring in the same likelihood; jitter, which is read off the clock, has no
+    limit.
+
+    A cause that was found is looked at beside the others of its set alone, any other one beside all that were found.
+
+    Args:
+        explained: the session.
+        unfitted: the held-out runs, where they are to confirm what is named.
+        kinds: the mechanisms that were offered, by name; None: the whole catalogue.
     """
     model, best = explained.model, explained.best
-    settings, conditions = model.settings.search, model.session.conditions
-    kinds = {name: kind for name, kind in offered(model.robot, conditions).items() if model.can_show(kind)}
-    needed = needed_nats(settings, len(model.session)) + math.log(settings.named_from / (1 - settings.named_from))
-    limits = []
-    for one in candidates(model, best.fitted, kinds):
-        limit = _limit(explained, one, needed)
-        if limit:
-            limits.append(limit)
-    least: dict[str, DetectionLimit] = {}
-    for limit in limits:
-        if limit.cause not in least or limit.share_of_range < least[limit.cause].share_of_range:
-            least[limit.cause] = limit
-    return tuple(least[name] for name in sorted(least))
+    offers = kinds or offered(model.robot, model.session.conditions)
+    kinds = {name: kind for name, kind in offers.items() if model.can_show(kind)}
+    beside_all = _Limits(explained, best.mechanisms, unfitted)
+    rivals = candidates(model, best.fitted, kinds)
+    found = beside_all.of_moving(rivals, rivals)
+    for name in best.names:
+        others = [one for one in best.mechanisms if one.name != name]
+        own = candidates(model, model.evaluate(others), {name: kinds[name]})
+        found += _Limits(explained, others, unfitted).of_moving(own, rivals)
+    found += [FoundLimit(beside_all.of_loss(kind)) for kind in kinds.values() if loses_commands([kind])]
+    found += [FoundLimit(noise_limit(explained, beside_all.power))] if "noise_change" in kinds else []
+    return tuple(sorted(found, key=lambda one: one.limit.cause))
 
 
-def _limit(explained: Explanation, one: Candidate, needed: float, power: float = 0.9) -> DetectionLimit | None:
-    model, mechanism = explained.model, one.start[-1]
-    if not one.columns.shape[1]:
-        return None
-    parameters = type(mechanism).parameters_of(model.robot, model.session.conditions)
-    name = next((key for key, parameter in parameters.items() if parameter.null_value is not None), None)
-    if name is None:
-        return None
-    parameter = parameters[name]
-    assert parameter.null_value is not None
-    length2 = float(model.effects.inner(one.columns[:, :1], one.columns[:, :1])[0, 0])
-    if length2 <= 0 or one.probe == 0:
-        return None
-    precision = length2 / one.probe**2
-    occam = 0.5 * math.log(max(precision * parameter.size**2 / (2 * math.pi), 1.0))
-    size = (math.sqrt(2 * (needed + occam)) + float(stats.norm.ppf(power))) / math.sqrt(precision)
-    if size >= parameter.size:
-        return DetectionLimit(cause=one.name, parameter=name, value=None, unit=parameter.unit, share_of_range=1.0)
-    sign = -1.0 if parameter.null_value + size > parameter.high else 1.0
+class _Limits:
+    """Looks for limits beside mechanisms that are there already."""
+
+    def __init__(
+        self,
+        explained: Explanation,
+        beside: Sequence[Mechanism],
+        unfitted: SessionLikelihood | None,
+        power: float = 0.9,
+    ) -> None:
+        self.model, self.power = explained.model, float(stats.norm.ppf(power))
+        self.around = Surroundings(self.model, beside)
+        settings = self.model.settings.search
+        searched = len(explained.posterior.nothing.fitted.residual)
+        self.share_searched = searched / len(self.model.session)
+        self.needed = needed_nats(settings, searched) + math.log(settings.named_from / (1 - settings.named_from))
+        self.unfitted = unfitted
+        if unfitted:
+            arriving = Surroundings.arriving_of(explained.best.mechanisms)
+            self._error = unfitted.errors(arriving) + unfitted.correction
+            self._without = unfitted.errors(self.around.arriving)
+
+    def of_moving(self, found: Sequence[Candidate], rivals: Sequence[Candidate]) -> list[FoundLimit]:
+        """Return the limits of causes, each at the point of its grid at which it shows best, beside their rivals."""
+        clearest: dict[str, tuple[float, SizedCause]] = {}
+        for one in found:
+            if one.off and np.any(one.columns):
+                cause = SizedCause.of(one, self.model)
+                size = self._proportional_size(one)
+                share = size / cause.parameter.size
+                if one.name not in clearest or share < clearest[one.name][0] / clearest[one.name][1].parameter.size:
+                    clearest[one.name] = size, cause
+        known = Rivals(self.around, rivals)
+        return [self._limit(name, cause, size, known) for name, (size, cause) in clearest.items()]
+
+    def of_loss(self, kind: MechanismClass) -> DetectionLimit:
+        """Return the limit of a mechanism that loses commands."""
+        return loss_limit(kind, self.model, self.needed, self.power, self.share_searched, self.unfitted)
+
+    def _proportional_size(self, one: Candidate) -> float:
+        """Return the size from which on a cause would be seen if its effect grew in proportion."""
+        first = one.columns[:, :1]
+        length = math.sqrt(max(float(self.around.inner(first, first)[0, 0]), 1e-12))
+        return (math.sqrt(2 * self.needed) + self.power) * abs(next(iter(one.off.values()))) / length
+
+    def _limit(self, name: str, cause: SizedCause, size: float, rivals: Rivals, rounds: int = 5) -> FoundLimit:
+        """Let a cause grow, or shrink, until it would just be named: by the secant of logarithms."""
+        size, slope = min(size, cause.largest), -1.0
+        known: list[tuple[float, float]] = []
+        rival: Mechanism | None = None
+        for number in range(rounds):
+            if number < 2:  # it hardly changes with the size
+                price = self.around.price(cause.at(size))
+            factor, rival = self._wanted(cause.at(size), price, rivals)
+            if size == cause.largest and factor > 1:
+                return FoundLimit(_reported(name, cause, None), cause.at(size), rival)
+            known.append((math.log(size), math.log(min(factor, 1e3))))
+            if abs(known[-1][1]) < 0.05:
+                break
+            if len(known) > 1 and known[-1][0] != known[-2][0]:
+                slope = (known[-1][1] - known[-2][1]) / (known[-1][0] - known[-2][0])
+            size = min(math.exp(known[-1][0] - known[-1][1] / min(max(slope, -4.0), -0.5)), cause.largest)
+        return FoundLimit(_reported(name, cause, size, rival), cause.at(size), rival)
+
+    def _wanted(self, mechanism: Mechanism, price: float, rivals: Rivals) -> tuple[float, Mechanism | None]:
+        """Return how many times as much a cause must show to be named, and what it is taken for if it shows less."""
+        change = self.around.change(mechanism)
+        length = math.sqrt(max(float(self.around.inner(change[:, None], change[:, None])[0, 0]), 1e-12))
+        whole = math.sqrt(self.share_searched)
+        seen = (math.sqrt(2 * (self.needed + price)) + self.power) / (whole * length)
+        rival, apart = self._nearest(change, mechanism.name, rivals)
+        told = 2 * self.power / (whole * apart)
+        confirmed = 0.0
+        if self.unfitted:
+            moved = self.unfitted.errors([*self.around.arriving, mechanism]) - self._without
+            confirmed = confirmed_from(self._error, moved, self.unfitted.session.run)
+        return max(seen, told, confirmed), rival if told > max(seen, confirmed) else None
+
+    def _nearest(
+        self, change: np.ndarray, name: str, rivals: Rivals, alike: float = 0.7, tried: int = 2
+    ) -> tuple[Mechanism | None, float]:
+        """Return the cause that comes nearest to a change (3 N,), of those that take over most of it, and how near."""
+        nearest, least = None, math.inf
+        for rival in rivals.alike(change, name, alike)[:tried]:
+            mechanism = self.around.imitation(change, rival)
+            apart = self.around.apart(change, mechanism) if mechanism else math.inf
+            if apart < least:
+                nearest, least = mechanism, apart
+        return nearest, least
+
+
+def _reported(cause_name: str, cause: SizedCause, size: float | None, rival: Mechanism | None = None) -> DetectionLimit:
     return DetectionLimit(
-        cause=one.name,
-        parameter=name,
-        value=float(parameter.null_value + sign * size),
-        unit=parameter.unit,
-        share_of_range=float(np.clip(size / parameter.size, 0.0, 1.0)),
+        cause=cause_name,
+        parameter=cause.name,
+        value=None if size is None else cause.value(size),
+        unit=cause.parameter.unit,
+        share_of_range=1.0 if size is None else float(np.clip(size / cause.parameter.size, 0.0, 1.0)),
+        rival=rival.name if rival else None,
     )

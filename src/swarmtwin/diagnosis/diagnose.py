@@ -6,8 +6,9 @@
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
    them leaves (`left_over`).
-4. Finding: causes as they are reported, gains on held-out runs, the smallest effects that the session would have shown,
-   the next recording (`cause_report`, `gains`, `detection_limits`, `next_recording`, `result`; pictures in `report/`).
+4. Finding: causes as they are reported and the leading sets, gains on held-out runs, the smallest effects that the
+   session would have shown, the next recording (`cause_report`, `gains`, `detection_limits` with `sized_causes` and
+   `random_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from swarmtwin.diagnosis.cause_report import reported_causes
+from swarmtwin.diagnosis.cause_report import leading_sets, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
 from swarmtwin.diagnosis.detection_limits import detection_limits
@@ -76,14 +77,14 @@ def diagnose(
     tracks = scored_tracks(measured, believable, scored)
     errors = Errors.of(simulation, scored, tracks)
     extended_errors = _errors_of(extended, session, scored, tracks) if extended else errors
-    plan, drive = next_recording(reference, explained, seed)
     gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
-    objection = None
+    objection, unfitted = None, reference.likelihood_of(session.where(held_out))
     if extended:
-        unfitted = reference.likelihood_of(session.where(held_out))
         likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
         objection = not_confirmed(gain, likelihood, settings.immaterial)
     named = reported_causes(explained, rng)
+    limits = detection_limits(explained, unfitted)
+    plan, drive = next_recording(explained, limits, seed)
     result = DiagnosisResult(
         verdict="unexplained" if objection else explained.verdict,
         causes=() if objection else named,
@@ -98,7 +99,8 @@ def diagnose(
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
-        detection_limits=detection_limits(explained),
+        detection_limits=tuple(one.limit for one in limits),
+        posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         seed=seed,
     )
     whole = reference.likelihood_of(session).explained_by(explained.best.mechanisms)

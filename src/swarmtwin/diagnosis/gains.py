@@ -1,8 +1,10 @@
 """Step 4. How much smaller errors are with an extension than without, on runs that nothing was fitted to."""
 
+import bisect
 import dataclasses
 
 import numpy as np
+from scipy import stats
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.result import Gain, Gains
@@ -125,6 +127,39 @@ def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float) -> str | Non
     if loop.after > (1 + immaterial) * loop.before:
         faults.append(f"open loop is worse ({_told(loop, 'mm')})")
     return " and ".join(faults) or None
+
+
+def confirmed_from(error: np.ndarray, change: np.ndarray, run: np.ndarray, power: float = 0.9) -> float:
+    """Return how many times as large an effect must be for held-out runs to confirm it with a probability of `power`.
+
+    Infinite where an effect a thousand times as large would not be. That the mean over runs varies is what they show of
+    it themselves; only one-step errors are looked at.
+
+    Args:
+        error: (N, 3) of a simulation that knows all: mm, mm, rad.
+        change: (N, 3) of one that does not know the effect.
+        run: (N,) of each transition.
+        power: probability.
+    """
+    known, wanted = _sizes(error), float(stats.norm.ppf(0.975) + stats.norm.ppf(power))
+    _, number = np.unique(run, return_inverse=True)
+
+    def is_confirmed(factor: float) -> bool:
+        rises = [_sizes(error + sign * factor * change) - known for sign in (1, -1)]  # chance alone goes either way
+        mean = np.mean(rises, axis=(0, 1))
+        by_run = np.zeros((int(number.max()) + 1, 2))
+        np.add.at(by_run, number, rises[0] - rises[0].mean(axis=0))
+        spread = np.sqrt((by_run**2).sum(axis=0)) / len(run)
+        return bool(np.any((mean > wanted * spread) & (mean > 0)))
+
+    factors = np.geomspace(0.01, 1000, 117)  # a tenth apart
+    first = bisect.bisect_left(range(len(factors)), True, key=lambda index: is_confirmed(float(factors[index])))
+    return float(factors[first]) if first < len(factors) else float("inf")
+
+
+def _sizes(error: np.ndarray) -> np.ndarray:
+    """Return (N, 2) the sizes of errors (N, 3), of position and orientation."""
+    return np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])])
 
 
 def _told(gain: Gain, unit: str) -> str:

@@ -13,6 +13,7 @@ from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.result import Verdict
+from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.simulation.mechanism import Mechanism
 
 
@@ -142,22 +143,39 @@ def _nats_left(model: SessionLikelihood, best: EstimatedSet) -> float:
 def _motion_noise(
     model: SessionLikelihood, mechanisms: Sequence[Mechanism], usual_log: Callable[[], float]
 ) -> MotionNoiseChange:
-    """Compare the motion's noise with the reference's; normal priors on the log of the factor, a narrow and a wide."""
-    settings = model.settings.motion_noise
+    """Compare the motion's noise with the reference's, and where that may have changed with its own motion's."""
     log, error = model.motion_noise_log()
-    usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
-    if model.has_momentum:
-        usual = max(usual, settings.usual_spread_with_momentum)
-    narrow = float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_from_usual(model.motion)))
+    usual = usual_noise_spread(model, mechanisms)
 
     def change(log: float) -> MotionNoiseChange:
-        odds = model.settings.search.prior / (1 - model.settings.search.prior)
-        wide_log, narrow_log = (
-            stats.norm.logpdf(log, 0.0, np.hypot(error, spread)) for spread in (settings.changed_spread, narrow)
-        )
-        probability = float(special.expit(wide_log - narrow_log + np.log(odds)))
-        low, high = np.exp(log + np.array([-1.96, 1.96]) * np.hypot(error, narrow))
+        probability = noise_change_probability(log, error, usual, model.settings)
+        low, high = np.exp(log + np.array([-1.96, 1.96]) * np.hypot(error, usual))
         return MotionNoiseChange(float(np.exp(log)), float(low), float(high), probability)
 
     found = change(log)
     return change(log - usual_log()) if found.probability >= 0.5 else found
+
+
+def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
+    """Return the standard deviation of the log of the noise's factor between sessions in which it is no cause."""
+    settings = model.settings.motion_noise
+    usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
+    if model.has_momentum:
+        usual = max(usual, settings.usual_spread_with_momentum)
+    return float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_from_usual(model.motion)))
+
+
+def noise_change_probability(log: float, error: float, usual: float, settings: DiagnosisSettings) -> float:
+    """Return the probability that a factor on the noise is a cause; normal priors on its log, a narrow and a wide.
+
+    Args:
+        log: of the factor, as it was measured.
+        error: of that, standard deviation.
+        usual: standard deviation where it is no cause.
+        settings: of the diagnosis.
+    """
+    odds = settings.search.prior / (1 - settings.search.prior)
+    wide_log, narrow_log = (
+        stats.norm.logpdf(log, 0.0, np.hypot(error, spread)) for spread in (settings.motion_noise.changed_spread, usual)
+    )
+    return float(special.expit(wide_log - narrow_log + np.log(odds)))

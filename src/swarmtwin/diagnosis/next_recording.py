@@ -1,16 +1,21 @@
-"""Step 4. Which drive would tell two rivals apart: commands under which they predict most differently."""
+"""Step 4. Which drive says more: under which rivals predict most differently, or smaller effects would be named."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
 
+from swarmtwin.diagnosis.detection_limits import FoundLimit
+from swarmtwin.diagnosis.estimation import EstimatedSet
 from swarmtwin.diagnosis.left_over import Explanation
-from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.noise import Noise
 from swarmtwin.diagnosis.result import NextRecording
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import NextRecordingSettings
+from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
@@ -21,59 +26,163 @@ DRIVE_FILE = "next_drive.csv"
 
 
 def next_recording(
-    reference: Reference, explained: Explanation, seed: int
+    explained: Explanation, limits: Sequence[FoundLimit], seed: int
 ) -> tuple[NextRecording | None, np.ndarray | None]:
-    """Plan the drive that separates the first cause that has rivals from the nearest of them, and its commands (P, m).
+    """Plan the drive that says most, and its commands (P, m).
 
-    None where no reported cause has a rival.
+    Where a named cause has rivals, it is the one that separates the first of these causes from its nearest rival; where
+    nothing is wrong, the one that lowers the limits from which on causes would be named. Else None.
     """
-    posterior, settings = explained.posterior, explained.model.settings.search
+    posterior, search = explained.posterior, explained.model.settings.search
     for name in explained.names:
-        rivals = posterior.rivals(name, settings.rival_from)
+        rivals = posterior.rivals(name, search.rival_from)
         if rivals:
             rival = next(one for one in posterior.sets if rivals[0] in one.names and name not in one.names)
-            conditions = explained.model.session.conditions
-            return separating_drive(reference, conditions, explained.best.mechanisms, rival.mechanisms, seed)
-    return None, None
+            return separating_drive(explained.model, explained.best, rival, seed)
+    return lowering_drive(explained.model, limits, seed) if explained.verdict == "no_gap" else (None, None)
 
 
 def separating_drive(
-    reference: Reference,
-    conditions: SessionConditions,
-    found: Sequence[Mechanism],
-    rival: Sequence[Mechanism],
-    seed: int,
+    model: SessionLikelihood, found: EstimatedSet, rival: EstimatedSet, seed: int
 ) -> tuple[NextRecording, np.ndarray]:
     """Return the drive, of several candidates, under which two explanations differ most, and its commands (P, m).
 
-    Expected nats are half the squared difference of what both predict, in units of the reference's noise.
+    Expected nats are half the squared difference of what both predict, in units of the reference's noise; whichever is
+    wrong may take other values as far as the session in hand allows.
     """
-    settings = reference.settings.next_recording
-    candidates = _candidates(reference.robot, settings, np.random.default_rng(seed))
-    expected = [
-        _expected_nats(reference, conditions, (found, rival), command, settings.steps) for command in candidates
-    ]
-    best = int(np.argmax(expected))
-    nats_a_run = expected[best] * settings.steps / len(candidates[best])
+    settings = model.settings.next_recording
+    drives = _drives(model, seed)
+    nats = [min(drive.nats(found, rival), drive.nats(rival, found)) / len(drive.command) for drive in drives]
+    best = int(np.argmax(nats))
+    nats_a_run = nats[best] * settings.steps
     wanted = np.ceil(settings.enough_nats / max(nats_a_run, 1e-3))
     runs = int(np.clip(wanted, settings.fewest_runs, settings.most_runs))
-    names = tuple(
-        next(one.name for one in these if one.name not in {o.name for o in others})
-        for these, others in ((found, rival), (rival, found))
-    )
+    pairs = (found, rival), (rival, found)
+    names = tuple(next(name for name in these.names if name not in others.names) for these, others in pairs)
     plan = NextRecording(
         separates=names,
         drive=DRIVE_FILE,
         runs=runs,
         steps=settings.steps,
-        expected_nats=float(nats_a_run * runs),
-        command=f"swarmtwin record robot={reference.robot.name} drive={DRIVE_FILE} runs={runs} "
-        f"steps={settings.steps} output=DIR",
+        expected_nats=nats_a_run * runs,
+        command=_record_command(model.robot, runs, settings.steps),
     )
-    return plan, candidates[best]
+    return plan, drives[best].command
 
 
-def _candidates(robot: Robot, settings: NextRecordingSettings, rng: np.random.Generator) -> list[np.ndarray]:
+def lowering_drive(
+    model: SessionLikelihood, limits: Sequence[FoundLimit], seed: int
+) -> tuple[NextRecording | None, np.ndarray | None]:
+    """Return the drive that lowers the limits most, on average over their logarithms, and its commands (P, m).
+
+    A recording of the same length is planned. An effect shows the more, the further it moves vehicles away from where
+    the simulation has them, or the cause that it would be taken for, in units of the noise. None where no candidate
+    lowers the limits by as much as the settings ask for.
+    """
+    settings, kept = model.settings.next_recording, model.settings.verdict.held_out_every
+    moving = [one for one in limits if one.mechanism and one.limit.value and "neighbours" not in one.mechanism.inputs]
+    if not moving:
+        return None, None
+    spread = model.reference_noise.spread(model.simulated.numpy())
+    here = _Drive(model.predictor, spread, model.session.transitions.command)
+    now = np.array([here.rate(one) for one in moving])
+    drives = _drives(model, seed)
+    remaining = [np.sqrt(now / np.array([max(drive.rate(one), 1e-12) for one in moving])) for drive in drives]
+    best = int(np.argmin([np.log(shares).mean() for shares in remaining]))
+    if np.exp(np.log(remaining[best]).mean()) > settings.enough_lower:
+        return None, None
+    shares = {one.limit.cause: float(share) for one, share in zip(moving, remaining[best], strict=True)}
+    runs = int(np.clip(np.ceil(len(model.session) * kept / (kept - 1) / settings.steps), 1, settings.most_runs))
+    plan = NextRecording(
+        separates=(),
+        lowers={cause: share for cause, share in sorted(shares.items(), key=lambda one: one[1]) if share < 1},
+        drive=DRIVE_FILE,
+        runs=runs,
+        steps=settings.steps,
+        expected_nats=0.0,
+        command=_record_command(model.robot, runs, settings.steps),
+    )
+    return plan, drives[best].command
+
+
+@dataclass(frozen=True)
+class _Drive:
+    """A drive of P periods, and what is expected of it.
+
+    Attributes:
+        predictor: of it.
+        spread: (P, 3) the noise's.
+        command: (P, m).
+    """
+
+    predictor: SessionPredictor
+    spread: np.ndarray
+    command: np.ndarray
+
+    @classmethod
+    def of(
+        cls, base: DynamicsModel, noise: Noise, conditions: SessionConditions, situation: Situation, steps: int
+    ) -> Self:
+        """Take situations (P) of the simulation alone, in runs of so many steps."""
+        before = np.arange(len(situation.command)) - 1
+        before[::steps] = -1
+        predictor = SessionPredictor(base, conditions, situation, before)
+        return cls(predictor, noise.spread(predictor.twist(()).numpy()), situation.command.numpy())
+
+    def ways(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return (3 P,) where mechanisms lead, in units of the noise."""
+        ways: np.ndarray = (self.predictor.most_likely_twist(mechanisms).numpy() / self.spread).ravel()
+        return ways
+
+    def slopes(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return (3 P, Q) how that changes with the parameters of mechanisms."""
+        here, columns = self.ways(mechanisms), []
+        for index, one in enumerate(mechanisms):
+            parameters = type(one).parameters_of(self.predictor.base.robot, self.predictor.conditions)
+            for name, parameter in parameters.items():
+                value, step = getattr(one, name), parameter.response_step
+                step = step if value + step <= parameter.high else -step
+                moved = type(one).at({**one.values(), name: value + step})
+                columns.append((self.ways([*mechanisms[:index], moved, *mechanisms[index + 1 :]]) - here) / step)
+        return np.stack(columns, axis=-1) if columns else np.zeros((len(here), 0))
+
+    def nats(self, true: EstimatedSet, wrong: EstimatedSet) -> float:
+        """Return the nats by which the true of two sets is expected to win, the other one adjusting its values."""
+        apart, slopes = self.ways(true.mechanisms) - self.ways(wrong.mechanisms), self.slopes(wrong.mechanisms)
+        return _left_apart(apart, slopes, wrong.information)
+
+    def rate(self, one: FoundLimit) -> float:
+        """Return the nats a transition that a cause at its limit brings over what it would be taken for."""
+        assert one.mechanism
+        rivals = [one.rival] if one.rival else []
+        apart, slopes = self.ways([one.mechanism]) - self.ways(rivals), self.slopes(rivals)
+        return _left_apart(apart, slopes, 1e-6 * np.diag((slopes**2).sum(axis=0))) / len(self.command)
+
+
+def _left_apart(apart: np.ndarray, slopes: np.ndarray, known: np.ndarray) -> float:
+    """Return half the square of a difference (K,), less what steps along slopes (K, Q) take away.
+
+    `known` is the information (Q, Q) that holds the steps back.
+    """
+    whole = float(apart @ apart)
+    if slopes.shape[1]:
+        side = slopes.T @ apart
+        whole -= float(side @ np.linalg.lstsq(slopes.T @ slopes + known, side, rcond=None)[0])
+    return max(whole, 0.0) / 2
+
+
+def _drives(model: SessionLikelihood, seed: int) -> list[_Drive]:
+    settings, base, conditions = model.settings.next_recording, model.predictor.base, model.session.conditions
+    commands = _commands(model.robot, settings, np.random.default_rng(seed))
+    situations = _driven(base, conditions, commands, settings.steps)
+    return [_Drive.of(base, model.reference_noise, conditions, one, settings.steps) for one in situations]
+
+
+def _record_command(robot: Robot, runs: int, steps: int) -> str:
+    return f"swarmtwin record robot={robot.name} drive={DRIVE_FILE} runs={runs} steps={steps} output=DIR"
+
+
+def _commands(robot: Robot, settings: NextRecordingSettings, rng: np.random.Generator) -> list[np.ndarray]:
     """Return commands (P, m): at random, held, to and fro between the limits, likewise held for long, small ones."""
     low, high, periods = robot.command_low, robot.command_high, settings.periods
     uniform = rng.uniform(low, high, (periods, len(low)))
@@ -85,41 +194,41 @@ def _candidates(robot: Robot, settings: NextRecordingSettings, rng: np.random.Ge
     return [np.round(command, 3) for command in (uniform, held, extremes, long_held, small)]
 
 
-def _expected_nats(
-    reference: Reference,
-    conditions: SessionConditions,
-    explanations: tuple[Sequence[Mechanism], Sequence[Mechanism]],
-    command: np.ndarray,
-    steps: int,
-) -> float:
-    situation = _driven(reference, conditions, command, steps)
-    before = np.arange(len(command)) - 1
-    before[::steps] = -1
-    predictor = SessionPredictor(reference.base, conditions, situation, before)
-    first, second = (predictor.most_likely_twist(mechanisms).numpy() for mechanisms in explanations)
-    return float((((first - second) / reference.noise.spread(first)) ** 2).sum() / 2)
+def _driven(
+    base: DynamicsModel, conditions: SessionConditions, commands: Sequence[np.ndarray], steps: int
+) -> list[Situation]:
+    """Drive the simulation open loop by commands (P, m), each run of so many steps from the middle of the arena.
 
-
-def _driven(reference: Reference, conditions: SessionConditions, command: np.ndarray, steps: int) -> Situation:
-    """Drive the simulation open loop from the middle of the arena, back to it after each run; return P situations."""
-    simulation, sent = Simulation(reference.base, (), conditions), torch.as_tensor(command)
-    count = len(sent)
-    previous = torch.cat([sent[:1], sent[:-1]])
-    start = simulation.start(torch.cat([conditions.centre_mm, conditions.centre_mm.new_zeros(1)])[None, None])
-    poses, velocities, state = [], [], start
-    for step in range(count):
-        if step % steps == 0:
-            state = replace(start, previous_command=previous[step][None, None])
-        poses.append(state.pose[0, 0])
-        velocities.append(state.velocity[0, 0])
-        state = simulation.step(state, sent[step][None, None])
-    return Situation(
-        command=sent,
-        previous_command=previous,
-        earlier_command=torch.cat([previous[:1], previous[:-1]]),
-        pose=torch.stack(poses),
-        velocity=torch.stack(velocities),
-        elapsed_s=torch.arange(count).double() / count * conditions.session_s,
-        duration_s=torch.full((count,), simulation.robot.period_s, dtype=torch.float64),
-        neighbours=torch.zeros(count, 0, 3, dtype=torch.float64),
+    All runs of all drives side by side; returns P situations for each drive.
+    """
+    simulation, sent = Simulation(base, (), conditions), torch.as_tensor(np.stack(commands))
+    drives, count, columns = sent.shape
+    previous = torch.cat([sent[:, :1], sent[:, :-1]], dim=1)
+    runs = -(-count // steps)
+    padded, before = (
+        torch.cat([one, one[:, -1:].expand(-1, runs * steps - count, -1)], dim=1).reshape(-1, steps, 1, columns)
+        for one in (sent, previous)
     )
+    middle = torch.cat([conditions.centre_mm, conditions.centre_mm.new_zeros(1)])
+    state = replace(simulation.start(middle.expand(drives * runs, 1, 3)), previous_command=before[:, 0])
+    states = []
+    for step in range(steps):
+        states.append(state)
+        state = simulation.step(state, padded[:, step])
+    pose, velocity = (
+        torch.stack(parts, dim=1).reshape(drives, runs * steps, -1)[:, :count]
+        for parts in ([one.pose for one in states], [one.velocity for one in states])
+    )
+    return [
+        Situation(
+            command=sent[drive],
+            previous_command=previous[drive],
+            earlier_command=torch.cat([previous[drive, :1], previous[drive, :-1]]),
+            pose=pose[drive],
+            velocity=velocity[drive],
+            elapsed_s=torch.arange(count).double() / count * conditions.session_s,
+            duration_s=torch.full((count,), simulation.robot.period_s, dtype=torch.float64),
+            neighbours=torch.zeros(count, 0, 3, dtype=torch.float64),
+        )
+        for drive in range(drives)
+    ]

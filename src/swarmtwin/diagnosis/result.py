@@ -58,6 +58,20 @@ class Cause(StrictModel):
     evidence: str
 
 
+class CauseSet(StrictModel):
+    """A set of causes, and how probable it is that these are there and no other.
+
+    Attributes:
+        causes: names; none: nothing is wrong.
+        probability: posterior, over all sets that were fitted; the forms that a cause may take summed up.
+        log_evidence: nats by which the session speaks for them over nothing, their parameters integrated out.
+    """
+
+    causes: tuple[str, ...]
+    probability: Share
+    log_evidence: Number
+
+
 class Gain(StrictModel):
     """An error on held-out runs with the simulation as it was and as it is extended.
 
@@ -103,18 +117,21 @@ class Dependence(StrictModel):
 
 
 class NextRecording(StrictModel):
-    """The drive that would separate rivals.
+    """The drive that would separate rivals or, where nothing is wrong, show smaller effects.
 
     Attributes:
-        separates: names of the causes it tells apart.
+        separates: names of the causes it tells apart; none where it is to show smaller effects.
+        lowers: causes that would be named from a smaller size on, each with the share of its limit that remains.
         drive: name of a CSV file beside `diagnosis.json` with the robot's command columns, for `record drive=FILE`.
         runs: how many runs.
         steps: transitions in a run.
-        expected_nats: expected log-likelihood ratio between the two best rivals after it, in nats; 5 decides.
+        expected_nats: expected log-likelihood ratio between the two best rivals after it, in nats; 5 decides. 0 where
+            there are none.
         command: how to record it, for a person.
     """
 
     separates: tuple[str, ...]
+    lowers: dict[str, Number] = Field(default_factory=dict)
     drive: str
     runs: int
     steps: int
@@ -123,7 +140,7 @@ class NextRecording(StrictModel):
 
 
 class DetectionLimit(StrictModel):
-    """The smallest effect of a cause that the session would have shown.
+    """The smallest effect of a cause that the session would have shown, and by this name.
 
     Attributes:
         cause: its name.
@@ -132,6 +149,7 @@ class DetectionLimit(StrictModel):
             at the grid point where this is smallest; null where no value within the bounds would.
         unit: of it.
         share_of_range: its distance from doing nothing, as a share of the bounds' distance.
+        rival: the cause that a smaller one may be taken for; null where it would rather not be seen at all.
     """
 
     cause: str
@@ -139,6 +157,7 @@ class DetectionLimit(StrictModel):
     value: Number | None
     unit: str
     share_of_range: Share
+    rival: str | None = None
 
 
 class DiagnosisResult(StrictModel):
@@ -150,7 +169,7 @@ class DiagnosisResult(StrictModel):
         causes: by share of the gap, largest first.
         depends_on: what the simulation's residual depends on, also where no cause explains it.
         gain: on held-out runs.
-        next_recording: where rivals cannot be told apart.
+        next_recording: where rivals cannot be told apart, or where nothing is wrong and smaller effects could be shown.
         left_over: what the extended simulation's residual still depends on.
         tests: every test of the simulation's residual.
         robot: its name.
@@ -160,7 +179,9 @@ class DiagnosisResult(StrictModel):
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
         not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named. Null
             where they do, or where there is none.
-        detection_limits: for each cause that was not found, the smallest that the session would have shown.
+        detection_limits: for each cause, the smallest that the session would have shown.
+        posterior: the leading sets of causes, the most probable first; that of no cause is among them. A changed noise
+            is weighed apart. Empty in files that are older.
         seed: of everything random.
         format: changes when older versions cannot read the file.
     """
@@ -179,6 +200,7 @@ class DiagnosisResult(StrictModel):
     extension: Extension
     not_confirmed: str | None = None
     detection_limits: tuple[DetectionLimit, ...] = ()
+    posterior: tuple[CauseSet, ...] = ()
     seed: int
     format: Literal[1] = 1
 

@@ -1,7 +1,7 @@
 """Step 3. What each mechanism may gain beside others, and each pair: one linear step from a coarse grid of values."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -21,14 +21,16 @@ class Candidate:
         nats: of log-likelihood that it promises.
         start: the others and it, where a fit begins.
         columns: (3 N, q) what it changes of whitened errors; none where commands may be lost.
-        probe: by how much its first parameter is off where it does nothing, for the first of these columns.
+        held: values of its parameters at the point.
+        off: for each of these columns the parameter, and by how much it is off where it does nothing.
     """
 
     name: str
     nats: float
     start: tuple[Mechanism, ...]
     columns: np.ndarray
-    probe: float = 0.0
+    held: Mapping[str, float] = field(default_factory=dict)
+    off: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def form(self) -> MechanismClass:
@@ -142,8 +144,8 @@ def _candidate(
         if null in (parameter.low, parameter.high) and factor <= 0:
             solution, values[key] = np.zeros_like(solution), value
     nats = float(solution @ side - solution @ gram @ solution / 2)
-    off = next((value - nulls[key] for key, value in moved.items()), 0.0)
-    return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, off)
+    off = {key: value - nulls[key] for key, value in moved.items()}
+    return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, begun, off)
 
 
 def _off_null(parameter: Parameter, value: float) -> float:

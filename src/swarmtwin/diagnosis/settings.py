@@ -170,6 +170,7 @@ class SearchSettings(StrictModel):
         named_from: probability from which on a cause counts as sure.
         reported_from: probability from which on a cause leads: it is named where it or its rivals are sure.
         rival_from: probability that a cause must hold in the place of another one to be its rival.
+        reported_sets: sets of causes whose probability is kept in the result, at most.
     """
 
     prior: Share = 0.05
@@ -184,6 +185,7 @@ class SearchSettings(StrictModel):
     named_from: Share = 0.9
     reported_from: Share = 0.5
     rival_from: Share = 0.02
+    reported_sets: Count = 8
 
 
 class MotionNoiseSettings(StrictModel):
@@ -227,12 +229,13 @@ class VerdictSettings(StrictModel):
 
 
 class NextRecordingSettings(StrictModel):
-    """The drive that would separate two rivals.
+    """The drive that would separate two rivals, or lower the limits from which on causes would be named.
 
     Attributes:
         periods: commands of each candidate.
         steps: transitions in a run of it.
         enough_nats: expected of the whole recording; 5 decide.
+        enough_lower: share of their size to which it must lower limits, for it to be asked for where nothing is wrong.
         fewest_runs: asked for.
         most_runs: asked for.
         small_share: of the limits, in a candidate of small commands.
@@ -241,6 +244,7 @@ class NextRecordingSettings(StrictModel):
     periods: Count = 400
     steps: Count = 40
     enough_nats: Positive = 10.0
+    enough_lower: Share = 0.9
     fewest_runs: Count = 8
     most_runs: Count = 400
     small_share: Share = 0.3

@@ -47,6 +47,10 @@ class TrackedRun:
         """Mark the run."""
         mlflow.MlflowClient().set_tag(self.run_id, name, value)
 
+    def note(self, text: str) -> None:
+        """Say in a sentence what the run found: MLflow shows it as the run's description."""
+        self.tag("mlflow.note.content", text)
+
     def warnings(self, texts: Sequence[str]) -> None:
         """Keep what is unusual of the recording that was used, if anything is, as the tag `recording.warnings`."""
         if texts:

@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from swarmtwin.diagnosis.report import sentences
+from swarmtwin.diagnosis.report.posterior_plot import posterior_figure
 from swarmtwin.diagnosis.report.residual_fields import blocks_of, components, field_choices
 from swarmtwin.diagnosis.report.residual_plots import (
     AFTER,
@@ -44,6 +45,7 @@ CAPTIONS = {
     "vehicle": "Error vehicle by vehicle",
     "spread": "How large the errors are, beside the ordinary noise, of which 0.3 % is beyond ±3",
     "calm": "Errors over the place, the heading and the session: none on average, wherever one looks",
+    "posterior": "How probable each set of causes is, all others of the catalogue weighed beside it",
     "runs": "Whole runs that nothing was fitted to, predicted from the first pose and the commands alone: a typical "
     "one and a bad one",
 }
@@ -105,7 +107,7 @@ def write_report(folder: Path, diagnosed: SavedDiagnosis) -> None:
 
 
 def leading_pictures(diagnosis: DiagnosisResult) -> list[str]:
-    """Return the names of the pictures that show what matters, the most telling first; some may not have been drawn.
+    """Return the names of the pictures that show where it is, the most telling first; some may not have been drawn.
 
     First what the named causes look at, then what else the error depends on, its spread last.
     """
@@ -118,7 +120,7 @@ def leading_pictures(diagnosis: DiagnosisResult) -> list[str]:
         PICTURE_OF.get(part, part) for cause in diagnosis.causes for part in mechanism_class(cause.name).inputs
     ]
     leading = list(dict.fromkeys([*(name for name in looked_at if name in shown), *shown]))
-    return [*leading[:2], "runs"]
+    return leading[:2]
 
 
 def _figures(diagnosed: SavedDiagnosis) -> dict[str, tuple[str, Figure]]:
@@ -145,8 +147,11 @@ def _figures(diagnosed: SavedDiagnosis) -> dict[str, tuple[str, Figure]]:
     calm = [choices[name] for name in CALM_PICTURES if name in choices]
     if diagnosed.result.verdict == "no_gap" and calm:
         drawn["calm"] = CAPTIONS["calm"], calm_figure(calm, parts[BEFORE], block)
-    runs = runs_figure(diagnosed.runs_before, diagnosed.runs_after if extended else ())
-    return drawn | ({"runs": (CAPTIONS["runs"], runs)} if runs else {})
+    further = {
+        "posterior": posterior_figure(diagnosed.result.posterior),
+        "runs": runs_figure(diagnosed.runs_before, diagnosed.runs_after if extended else ()),
+    }
+    return drawn | {name: (CAPTIONS[name], figure) for name, figure in further.items() if figure}
 
 
 def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
@@ -166,7 +171,11 @@ def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
         questions=QUESTIONS,
         bars=gain_bars(diagnosis),
         leading=leading,
-        others=[picture for picture in pictures if picture not in leading],
+        posterior=drawn.get("posterior"),
+        runs=drawn.get("runs"),
+        others=[
+            picture for picture in pictures if picture not in leading and picture.name not in ("posterior", "runs")
+        ],
     )
 
 

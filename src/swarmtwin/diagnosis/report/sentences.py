@@ -1,13 +1,15 @@
 """What a report says in words: numbers with their intervals, verdicts, causes and what residuals depend on."""
 
 import math
+import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 
-from swarmtwin.diagnosis.result import Cause, DetectionLimit, DiagnosisResult, Estimate, Gain
+from swarmtwin.diagnosis.result import Cause, DetectionLimit, DiagnosisResult, Estimate, Gain, NextRecording
 from swarmtwin.simulation.mechanism import mechanism_class
 
 SPACE = "\N{NO-BREAK SPACE}"
+DASH = f"{SPACE}– "
 SHARES = ("loss", "probability", "spread")
 UNITS = {"rad": (180 / math.pi, "°"), "deg": (1.0, "°"), "": (1.0, "")}
 PARTS = {
@@ -67,12 +69,24 @@ def cause_title(name: str) -> str:
     return name.replace("_", " ")
 
 
-def remedies(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
-    """Return what to repair or check, each with the cause that it is for."""
-    weak = _weak_wheel(diagnosis.causes)
-    others = [cause for cause in diagnosis.causes if not weak or cause.name not in ONE_WHEEL]
-    told = [(cause_title(cause.name), mechanism_class(cause.name).remedy) for cause in others]
-    return [(f"{weak[0]} wheel", "check its motor, gear and tyre"), *told] if weak else told
+def cause_set_title(causes: Sequence[str]) -> str:
+    """Return what a set of causes is called; the empty one: nothing is wrong."""
+    return " + ".join(cause_title(name) for name in causes) or "nothing is wrong"
+
+
+def _wrong_and_to_do(causes: Sequence[Cause]) -> list[tuple[str, str]]:
+    """Return what is wrong, each with what to repair or check; two causes that say one wheel is weak are one."""
+    weak = _weak_wheel(causes)
+    others = [cause for cause in causes if not weak or cause.name not in ONE_WHEEL]
+    told = [(f"{cause_summary(cause)}{_or_rival(cause)}", mechanism_class(cause.name).remedy) for cause in others]
+    if weak is None:
+        return told
+    return [(f"the {weak[0]} wheel runs at {weak[1]:.2f} of its speed", "check its motor, gear and tyre"), *told]
+
+
+def _or_rival(cause: Cause) -> str:
+    rivals = [cause_title(rival) for rival in cause.rivals]
+    return f" (or it is {enumeration(rivals, last=' or ')})" if rivals else ""
 
 
 def _weak_wheel(causes: Sequence[Cause]) -> tuple[str, float] | None:
@@ -93,24 +107,34 @@ def _relative(estimate: Estimate) -> float:
 
 
 def verdict_words(diagnosis: DiagnosisResult) -> str:
-    """Return the verdict in one plain sentence."""
-    weak = _weak_wheel(diagnosis.causes)
-    told = [f"the {weak[0]} wheel runs at {weak[1]:.2f} of its speed"] if weak else []
-    told += [cause_summary(cause) for cause in diagnosis.causes if not weak or cause.name not in ONE_WHEEL]
-    causes = enumeration(told, "; ", "; and ")
+    """Return in one plain sentence what is wrong and what to do."""
     if diagnosis.verdict == "no_gap":
-        return "Nothing is wrong: the simulation does what the robot did, within the ordinary noise."
-    if diagnosis.not_confirmed:
-        return f"The robot departs from the simulation, and no known cause explains it: {diagnosis.not_confirmed}."
+        return "Nothing is wrong: the robot does what the simulation says, within its ordinary noise; go on with it."
+    found = [f"{wrong}{DASH}{remedy}" for wrong, remedy in _wrong_and_to_do(diagnosis.causes)]
+    because = enumeration(found, "; ", "; and because ")
     if diagnosis.verdict == "explained":
-        return f"The robot departs from the simulation because {causes}."
+        return f"The robot departs from the simulation because {because}."
     if diagnosis.causes:
-        return f"The robot departs from the simulation, partly because {causes}. Something else remains without a name."
-    return "The robot departs from the simulation, and no known cause explains it."
+        return (
+            f"The robot departs from the simulation, partly because {because}; something else is wrong that has no "
+            f"name{DASH}{_look_at(diagnosis)}."
+        )
+    return f"The robot departs from the simulation, and no known cause explains it{DASH}{_look_at(diagnosis)}."
+
+
+def _look_at(diagnosis: DiagnosisResult) -> str:
+    """Return what to do about what has no name."""
+    explained = {test.part: test.explained for test in diagnosis.tests}
+    unnamed = diagnosis.left_over if diagnosis.causes else diagnosis.left_over or diagnosis.depends_on
+    most = sorted((part for part in unnamed if part in PARTS), key=lambda part: -explained.get(part, 0.0))[:3]
+    what = f"look for what changed and goes with {_placed(most)}" if most else "look for what changed"
+    return f"{what}, or learn the simulation anew from a recording made now"
 
 
 def dependence_words(diagnosis: DiagnosisResult) -> str:
     """Return in sentences what the error depends on, how else it is unlike the ordinary noise, and what is left."""
+    if diagnosis.verdict == "no_gap":
+        return f"Nothing of what was tested ({len(diagnosis.tests)} questions) shows more than chance would."
     explained = {test.part: test.explained for test in diagnosis.tests}
     sentences = [f"What is off depends on {placed}."] if (placed := _placed(diagnosis.depends_on)) else []
     for part, sentence in SHAPES.items():
@@ -145,13 +169,69 @@ def gain_words(gain: Gain, unit: str) -> str:
 
 
 def limit_words(limit: DetectionLimit) -> str:
-    """Return the smallest value of a parameter that would have been named, with two digits; where none would, so."""
+    """Return the smallest value of a parameter that would have been named; where none would, so.
+
+    It has two digits of how far it is from doing nothing.
+    """
     if limit.value is None:
         return "not at any value"
-    unit, size = limit.unit, abs(limit.value)
-    factor, sign = UNITS.get(unit, (1.0, f"{SPACE}{unit}"))
-    decimals = max(0, 1 - math.floor(math.log10(factor * size))) if size > 0 else 0
+    if not limit.unit and limit.parameter in SHARES:
+        factor, sign = 100.0, f"{SPACE}%"
+    else:
+        factor, sign = UNITS.get(limit.unit, (1.0, f"{SPACE}{limit.unit}"))
+    parameter = mechanism_class(limit.cause).parameters.get(limit.parameter)
+    usual = parameter.null_value or 0.0 if parameter and not limit.unit else 0.0
+    size = factor * abs(limit.value - usual)
+    decimals = max(0, 1 - math.floor(math.log10(size))) if size > 0 else 0
     return f"{_number(factor * limit.value, min(decimals, 4))}{sign}"
+
+
+def parameter_title(name: str) -> str:
+    """Return a parameter's name as people say it, without its unit."""
+    return re.sub(r"_(mm_s|mm|rad|deg|s)$", "", name).replace("_", " ")
+
+
+def limits_words(diagnosis: DiagnosisResult) -> str:
+    """Return what is meant by a cause that was not found."""
+    meaning = (
+        "That nothing is wrong means: nothing of these sizes. Had one of these causes been as large as stated here, "
+        if diagnosis.verdict == "no_gap"
+        else "What was not found may still be there, if it is small. Had a cause been as large as stated here, "
+    )
+    return f"{meaning}it would have been named in nine of ten such recordings."
+
+
+def posterior_words(diagnosis: DiagnosisResult) -> str:
+    """Return how to read the probabilities of the leading sets of causes."""
+    if diagnosis.verdict == "unexplained" and not diagnosis.causes:
+        return (
+            "So it would be if the catalogue held all there is. But no set of its causes explains what was measured, "
+            "or runs that nothing was fitted to speak against it: none is named."
+        )
+    return "A cause is named where the sets that hold it, or one that looks the same, have 90 % together."
+
+
+def next_recording_words(plan: NextRecording) -> str:
+    """Return what to record next, and what for."""
+    drive = f"{plan.runs} runs of {plan.steps} steps with the commands in {plan.drive}"
+    if plan.separates:
+        apart = enumeration([cause_title(name) for name in plan.separates])
+        return (
+            f"Record next, to tell {apart} apart: {drive}. After it, the wrong one should be some "
+            f"{odds_words(plan.expected_nats)} times less likely than the right one."
+        )
+    most = sorted(plan.lowers.items(), key=lambda one: one[1])[:3]
+    lower = enumeration([f"{cause_title(name)} from {share_words(share)}" for name, share in most])
+    return f"To see smaller effects, record next {drive}. It would show {lower} of the sizes below."
+
+
+def probability_words(probability: float) -> str:
+    """Return a probability in percent, with a decimal where it is next to none or nearly all."""
+    if probability < 0.0005:
+        return f"under 0.1{SPACE}%"
+    if probability > 0.9995:
+        return f"over 99.9{SPACE}%"
+    return share_words(probability, 0 if 0.0995 <= probability <= 0.9905 else 1)
 
 
 def share_words(share: float, decimals: int = 0) -> str:

@@ -67,16 +67,17 @@ class SetFits:
         values = np.concatenate([np.empty(0), *start.values()])
         linear = self._linearise(start)
         here = self.evaluate(start, linear)
-        rough = [one.is_rough for one in causes for _ in one.step]
-        for index in np.flatnonzero(rough):
-            values, here = self._located(start, values, int(index), here, linear)
         if not len(values):
             return FittedSet(start, linear, here, self._nats(here, causes, np.zeros((0, 0))))
         low, high, step = (np.concatenate([getattr(one, each) for one in causes]) for each in ("low", "high", "step"))
-        smallest = 0.05 * step
+        is_rough = np.array([one.is_rough for one in causes for _ in one.step])
+        smallest = np.where(is_rough, 1.0, 0.05) * step
         for number in range(self.rounds):
+            for index in np.flatnonzero(is_rough):
+                values, here = self._located(start, values, int(index), here, linear)
             slope, information = self._slope(start, values, here, linear, high, step)
             step = np.clip(0.5 / np.sqrt(np.diagonal(information) + 1e-12), smallest, step)
+            slope[is_rough], information[is_rough[:, None] != is_rough] = 0.0, 0.0
             change = np.linalg.solve(information + np.diag(12.0 / (high - low) ** 2), slope)
             hoped = self._nats(here, causes, information) + self.hope * float(slope @ change)
             if number and hoped < best_nats - 2 * self.hopeless_nats:
@@ -108,7 +109,7 @@ class SetFits:
         """Return parameters (P,) of which one was moved to where it is likeliest, by ever smaller steps."""
         causes = [self.causes[name] for name in start]
         low, high, step = (np.concatenate([getattr(one, each) for one in causes]) for each in ("low", "high", "step"))
-        for size in step[index] * 0.4 ** np.arange(-2, 5):
+        for size in step[index] * 0.6 ** np.arange(-4, 7):
             for sign in (1.0, -1.0):
                 while True:
                     moved = values.copy()

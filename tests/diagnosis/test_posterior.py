@@ -1,0 +1,52 @@
+"""The posterior over sets of causes: forms of the same causes are summed up, evidence is told without prior odds."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from swarmtwin.diagnosis.cause_report import leading_sets
+from swarmtwin.diagnosis.cause_search import CausePosterior
+
+ODDS_AGAINST = 3.0
+
+
+def posterior_of(**evidence):
+    """A posterior over sets with names joined by _and_, each with its evidence over nothing, mean over its forms."""
+    rows = [((), 0.0, 1)]
+    for key, (nats, forms) in evidence.items():
+        rows.append((tuple(key.split("_and_")), nats, forms))
+    sets, logs = [], []
+    for names, nats, forms in rows:
+        for _ in range(forms):  # each form has as much evidence, and its share of the prior
+            sets.append(SimpleNamespace(names=names))
+            logs.append(nats - len(names) * ODDS_AGAINST - np.log(forms))
+    order = np.argsort(logs)[::-1]
+    logs = np.array(logs)[order]
+    sets = [sets[index] for index in order]
+    nothing = next(one for one in sets if not one.names)
+    return CausePosterior(tuple(sets), logs - np.logaddexp.reduce(logs), nothing, ODDS_AGAINST)
+
+
+def test_forms_of_the_same_causes_are_one_set_and_evidence_is_over_nothing():
+    posterior = posterior_of(gain_change=(5.0, 2), command_delay=(4.0, 1), gain_change_and_marker_yaw=(6.0, 4))
+    sets = leading_sets(posterior, 8)
+    weights = {
+        ("gain_change",): np.exp(5.0 - 3),
+        ("command_delay",): np.exp(4.0 - 3),
+        ("gain_change", "marker_yaw"): np.exp(6.0 - 6),
+        (): 1.0,
+    }
+    assert {one.causes for one in sets} == weights.keys()
+    assert [one.probability for one in sets] == sorted((one.probability for one in sets), reverse=True)
+    for one in sets:
+        assert one.probability == pytest.approx(weights[one.causes] / sum(weights.values()), rel=1e-4)
+    assert {one.causes: one.log_evidence for one in sets} == pytest.approx(
+        {("gain_change",): 5.0, ("command_delay",): 4.0, ("gain_change", "marker_yaw"): 6.0, (): 0.0}, abs=1e-4
+    )
+
+
+def test_at_most_so_many_sets_are_kept_and_nothing_is_always_one_of_them():
+    posterior = posterior_of(**{f"cause{number}": (20.0 + number, 1) for number in range(12)})
+    sets = leading_sets(posterior, 8)
+    assert [one.causes for one in sets] == [(f"cause{number}",) for number in (11, 10, 9, 8, 7, 6, 5)] + [()]
