@@ -86,6 +86,10 @@ def lowering_drive(
     spread = model.reference_noise.spread(model.simulated.numpy())
     here = _Drive(model.predictor, spread, model.session.transitions.command)
     now = np.array([here.rate(one) for one in moving])
+    shown = now * len(model.session) > 0.1  # nats: what cannot be told from another cause has no limit to lower
+    moving, now = [one for one, is_shown in zip(moving, shown, strict=True) if is_shown], now[shown]
+    if not moving:
+        return None, None
     drives = _drives(model, seed)
     remaining = [np.sqrt(now / np.array([max(drive.rate(one), 1e-12) for one in moving])) for drive in drives]
     best = int(np.argmin([np.log(shares).mean() for shares in remaining]))
