@@ -90,7 +90,9 @@ def test_a_session_is_predicted(really, planted_car):
     session = MeasuredSession.of(transitions, conditions_of(transitions))
     predictor = SessionPredictor(planted_car, session.conditions, session.situation, session.follows)
     wrong, wrong_alone = (
-        np.linalg.norm((exp_map(predictor.twist(mechanisms)) - session.transitions.displacement)[:, :2], axis=1).mean()
+        np.linalg.norm(
+            (exp_map(predictor.twist(mechanisms)).numpy() - session.transitions.displacement)[:, :2], axis=1
+        ).mean()
         for mechanisms in ([mechanism], [])
     )
     assert wrong < 0.2 * wrong_alone
