@@ -6,7 +6,9 @@ import json
 import mlflow
 import pytest
 from mlflow.data import get_source
+from mlflow.exceptions import MlflowException
 
+from swarmtwin.errors import UserError
 from swarmtwin.tracking.datasets import Dataset, dvc_hashes, files_digest
 from swarmtwin.tracking.runs import tracked_run
 
@@ -81,6 +83,40 @@ def test_inputs_are_datasets_of_their_run(repository):
     hashes = dvc_hashes([reference, measured])
     assert {kept.data.tags[f"dvc.{folder}"] for folder in (reference, measured)} == set(hashes.values())
     assert {own["dvc"] for own in tags} == set(hashes.values())
+
+
+def test_two_runs_may_add_the_same_input_at_the_same_moment(repository, monkeypatch):
+    """Between MLflow's look whether it is there and its insertion, another run inserts it."""
+    given = Dataset(repository / "data" / "mgr" / "reference", "reference", "b" * 16)
+    log_inputs, tried = mlflow.MlflowClient.log_inputs, []
+
+    def overtaken(client, run_id, inputs):
+        tried.append(run_id)
+        if len(tried) == 1:
+            other = client.create_run(client.get_run(run_id).info.experiment_id).info.run_id
+            log_inputs(client, other, inputs)
+            raise MlflowException("(sqlite3.IntegrityError) UNIQUE constraint failed: datasets.name, datasets.digest")
+        log_inputs(client, run_id, inputs)
+
+    monkeypatch.setattr(mlflow.MlflowClient, "log_inputs", overtaken)
+    with tracked_run("diagnosis", "x", {}, [given]) as run:
+        pass
+    assert [each.dataset.name for each in mlflow.get_run(run.run_id).inputs.dataset_inputs] == ["reference"]
+    assert len(tried) == 2
+
+
+def test_any_other_fault_of_the_store_is_told_at_once(repository, monkeypatch):
+    tried = []
+
+    def refused(client, run_id, inputs):
+        tried.append(run_id)
+        raise MlflowException("the table is gone")
+
+    monkeypatch.setattr(mlflow.MlflowClient, "log_inputs", refused)
+    given = Dataset(repository / "data" / "mgr" / "reference", "reference", "b" * 16)
+    with pytest.raises(UserError, match="the table is gone"), tracked_run("diagnosis", "x", {}, [given]):
+        pass
+    assert len(tried) == 1
 
 
 def test_a_digest_covers_names_and_content_of_all_files(tmp_path):

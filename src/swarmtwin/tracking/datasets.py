@@ -13,6 +13,7 @@ import mlflow
 import yaml
 from mlflow.entities import Dataset as DatasetEntity
 from mlflow.entities import DatasetInput, InputTag
+from mlflow.exceptions import MlflowException
 from mlflow.utils.mlflow_tags import MLFLOW_DATASET_CONTEXT
 
 logger = logging.getLogger(__name__)
@@ -74,7 +75,18 @@ def log_datasets(run_id: str, datasets: Iterable[Dataset], hashes: Mapping[Path,
             tags.append(InputTag("dvc", hashes[one.folder]))
         inputs.append(DatasetInput(entity, tags))
     if inputs:
-        mlflow.MlflowClient().log_inputs(run_id, inputs)
+        _add(run_id, inputs)
+
+
+def _add(run_id: str, inputs: list[DatasetInput], tries: int = 5) -> None:
+    """Add inputs to a run; again where another run added the same ones since MLflow had looked: then it finds them."""
+    for left in reversed(range(tries)):
+        try:
+            mlflow.MlflowClient().log_inputs(run_id, inputs)
+            return
+        except MlflowException as error:
+            if not left or "unique constraint" not in str(error).lower():
+                raise
 
 
 def dvc_hashes(paths: Iterable[Path]) -> dict[Path, str]:
