@@ -11,7 +11,7 @@ export OMP_NUM_THREADS := 1
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
-	@echo "make claims     test the diagnosis's stated rates on many drawn sessions"
+	@echo "make claims     test what is stated of the diagnosis and its rivals on many drawn sessions"
 	@echo "make lint       set up, check style and types"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
@@ -49,25 +49,26 @@ $(PROMOTIONS): promote@%:
 	  candidate=artifacts/comparison/$*/best) || [ $$? = 3 ]
 
 # The stages of dvc.yaml in parts, two at a time on two cores, the longest way first: make takes the first part in the
-# list that can begin, so that what does not lead to policies waits for both simulations, which policies are learned in.
+# list that can begin, so that what does not lead to policies waits for both simulations, which policies are learned in,
+# and the underwater robot, which takes longer, comes first.
 # DVC looks at a part's own stages alone (--single-item), so the parts that it reads are named here; the `dvc repro`
 # afterwards looks at all of them.
 ROBOTS := mgr mur
 of_robots = $(ROBOTS:%=$(1)@%)
 SIMULATIONS := $(call of_robots,simulation)
-PARTS := $(call of_robots,policies) $(call of_robots,dynamics) $(call of_robots,study) diagnosis@mgr \
-  $(call of_robots,pictures) $(SIMULATIONS) $(call of_robots,transitions) code
+PARTS := $(call of_robots,policies) dynamics@mur study@mur dynamics@mgr study@mgr diagnosis@mgr \
+  $(call of_robots,pictures) $(SIMULATIONS) $(call of_robots,transitions) $(call of_robots,code)
 parts: $(PARTS)
-$(call of_robots,transitions): code
+$(call of_robots,transitions): transitions@%: code@%
 $(SIMULATIONS): simulation@%: transitions@%
 $(call of_robots,policies): policies@%: simulation@%
 $(call of_robots,dynamics): dynamics@%: simulation@% | $(SIMULATIONS)
 $(call of_robots,study): study@%: dynamics@%
-diagnosis@mgr: code | $(SIMULATIONS)
+diagnosis@mgr: code@mgr | $(SIMULATIONS)
 $(call of_robots,pictures): pictures@%: policies@% study@%
 
 robot = $(lastword $(subst @, ,$@))
-code: STAGES = code@*
+$(call of_robots,code): STAGES = code@$(robot)
 of_clip@mgr = tracked@mgr
 $(call of_robots,transitions): STAGES = $(of_clip@$(robot)) transitions@$(robot) synthetic@$(robot)-*
 $(SIMULATIONS): STAGES = synthetic_dynamics@$(robot)

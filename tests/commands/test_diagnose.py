@@ -158,6 +158,7 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
         "split.fractions.train=0.6",
         "split.fractions.validation=0.2",
         "split.fractions.test=0.2",
+        "pictures=false",
         f"output={model}",
     )
     output = drives / "by_model"
@@ -168,6 +169,7 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
         f"measured={drives / 'sag'}",
         f"output={output}",
         "register=false",
+        "pictures=false",
     )
     diagnosis = json.loads((output / "diagnosis.json").read_text())
     assert [cause["name"] for cause in diagnosis["causes"]] == ["battery_sag"]
@@ -189,6 +191,7 @@ def test_the_answer_book_is_not_read_and_the_same_seed_gives_the_same_answer(dri
         f"measured={tmp_path / 'sag'}",
         f"output={output}",
         "register=false",
+        "pictures=false",
     )
     assert (output / "diagnosis.json").read_text() == (diagnosed / "diagnosis.json").read_text()
 

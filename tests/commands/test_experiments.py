@@ -32,6 +32,7 @@ SAG = DiagnosisResult(
         position_mm=Gain(before=6.5, after=3.2, low=3.1, high=3.5),
         orientation_deg=Gain(before=5.0, after=4.0, low=0.9, high=1.1),
         open_loop_mm=Gain(before=300.0, after=90.0, low=190.0, high=230.0),
+        ten_periods_mm=Gain(before=80.0, after=20.0, low=50.0, high=70.0),
     ),
     next_recording=None,
     left_over=(),

@@ -169,6 +169,7 @@ def made_result(verdict="explained", **changes):
             position_mm=Gain(before=8.61, after=1.82, low=6.52, high=7.11),
             orientation_deg=Gain(before=12.4, after=3.05, low=9.1, high=9.6),
             open_loop_mm=Gain(before=214.0, after=31.0, low=160.0, high=205.0),
+            ten_periods_mm=Gain(before=62.0, after=11.0, low=44.0, high=58.0),
         )
         if wrong
         else Gains(**{name: Gain(before=1.25, after=1.25, low=0, high=0) for name in Gains.model_fields}),

@@ -44,6 +44,22 @@ def as_simulated(moment):
     return exp_map(moment.way)
 
 
+class Losing:
+    """Each command is lost with a probability, and what was held before goes on; otherwise vehicles go as `moved`."""
+
+    def __init__(self, probability, seed, moved=as_simulated):
+        self.probability, self.rng, self.moved, self.held = probability, np.random.default_rng(seed), moved, None
+
+    def __call__(self, moment):
+        """True displacements (R, 3)."""
+        if moment.step == 0:
+            self.held = moment.previous_command
+        before = self.held
+        lost = torch.as_tensor(self.rng.random(len(moment.command)) < self.probability)[:, None]
+        self.held = torch.where(lost, before, moment.command)
+        return self.moved(moment._replace(command=self.held, previous_command=before))
+
+
 def as_it_is(pose):
     """Measured poses (R, 3) of true ones."""
     return pose

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from exact_base import ExactBase, as_simulated, known_noise, session_of
+from exact_base import ExactBase, Losing, as_simulated, known_noise, session_of
 from scipy import stats
 
 from exact_model import MM_PER_PWM, TRACK_MM, conditions_of
@@ -37,20 +37,6 @@ def understood(model, start):
     """Values estimated with the noise of what they leave, as a diagnosis reports them."""
     first = estimate(model, start)
     return estimate(model.explained_by(first.mechanisms), first.mechanisms)
-
-
-class Losing:
-    """Each command is lost with a probability, and what was held before goes on."""
-
-    def __init__(self, probability, seed):
-        self.probability, self.rng, self.held = probability, np.random.default_rng(seed), None
-
-    def __call__(self, moment):
-        if moment.step == 0:
-            self.held = moment.previous_command
-        lost = torch.as_tensor(self.rng.random(len(moment.command)) < self.probability)[:, None]
-        self.held = torch.where(lost, self.held, moment.command)
-        return exp_map(moment.base.twist(self.held))
 
 
 def stretched(scale):

@@ -16,6 +16,7 @@ from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 
+pytestmark = pytest.mark.claims
 CLEAR = 30.0  # percent by which the effect raises the one-step error
 ROBOTS = ("mgr", "mur")
 
@@ -47,7 +48,6 @@ def not_worse(result):
     return result.gain.position_mm.after <= 1.005 * result.gain.position_mm.before
 
 
-@pytest.mark.claims
 def test_clear_effects_are_named_first(robots, references):
     """Of clear effects, drawn from the whole catalogue, 85 % are claimed to be named first."""
     right, said = 0, []
@@ -74,7 +74,6 @@ def test_the_example_of_the_readme_is_answered_with_what_is_hidden(robots, refer
     assert causes["battery_sag"]["loss"] == pytest.approx(0.2, abs=0.015)
 
 
-@pytest.mark.claims
 def test_nothing_is_named_where_nothing_is_wrong(robots, references):
     """No session is accused, other units included: at the claimed level of 1 % one of six would be with 6 %."""
     for number, robot in enumerate(ROBOTS):
@@ -87,7 +86,6 @@ def test_nothing_is_named_where_nothing_is_wrong(robots, references):
             assert not_worse(result), session.about
 
 
-@pytest.mark.claims
 def test_what_the_catalogue_does_not_know_is_not_named(robots, references):
     """Of clear effects outside the catalogue, 90 % are claimed to be noticed and to get no name."""
     right, said = 0, []

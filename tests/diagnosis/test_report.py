@@ -352,8 +352,10 @@ def test_gains_may_be_losses_and_errors_nothing():
     unknown = Gain(before=0, after=0, low=0, high=0)
     gain = made_result().gain.model_copy(update={"open_loop_mm": unknown})
     bars = gain_bars(made_result(gain=gain))
-    assert [bar.after is not None for bar in bars] == [True, True, False]
-    assert bars[2].before == "not known"
+    assert [bar.after is not None for bar in bars] == [True, True, True, False]
+    assert bars[3].before == "not known"
+    older = made_result().gain.model_copy(update={"ten_periods_mm": None})
+    assert len(gain_bars(made_result(gain=older))) == 3
 
 
 def test_odds_are_round_numbers():

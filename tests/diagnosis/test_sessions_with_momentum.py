@@ -36,11 +36,13 @@ def test_a_reference_goes_on_from_its_own_velocity(robots, reference):
     assert (steady - before)[:, 0].abs().mean() > 5
 
 
+@pytest.mark.claims
 def test_a_car_as_it_was_has_no_gap(robots, reference):
     result = diagnose(reference, session(robots["car"]), SEED).result
     assert (result.verdict, result.causes) == ("no_gap", ())
 
 
+@pytest.mark.claims
 def test_a_weaker_motor_is_named(robots, reference):
     """A tenth: the speed that the throttle asks for, and as momentum is linear any speed."""
     speed_mm_s = 0.9 * car.PLANTED["speed_gain_mm_s_per_unit"]

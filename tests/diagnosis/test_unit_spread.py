@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from exact_base import ExactBase, known_noise, session_of
+from exact_base import SPREAD, ExactBase, Losing, known_noise, session_of
 
 from exact_model import TRACK_MM
 from swarmtwin.diagnosis.estimation import estimate
@@ -33,10 +33,11 @@ def of_wheels(left, right):
     return moved
 
 
-def model_of(robot, moved, vehicle, known=("1",), unit_spread=None):
-    base = ExactBase(robot)
-    session = session_of(base, np.random.default_rng(1), moved, vehicle=vehicle)
-    return SessionLikelihood(base, known_noise(), session, known, unit_spread)
+def model_of(robot, moved, vehicle, known=("1",), unit_spread=None, noise=1.0):
+    base, spread = ExactBase(robot), [noise * one for one in SPREAD]
+    drawn = torch.tensor(spread, dtype=torch.float64)
+    session = session_of(base, np.random.default_rng(1), moved, spread=lambda way: drawn, vehicle=vehicle)
+    return SessionLikelihood(base, known_noise(spread), session, known, unit_spread)
 
 
 def nats(model, name, **start):
@@ -55,10 +56,35 @@ def test_another_unit_that_differs_a_little_is_no_gap(robots, left, right):
     assert not same_unit.strange
 
 
+def test_another_unit_whose_wheels_start_at_other_commands_is_no_gap(robots):
+    """Faster or slower at any speed by 5 % of what is usual: no weaker supply, and no dead band either."""
+
+    def started(moment):
+        wheels = wheel_travel(moment.way, TRACK_MM)
+        earlier = 0.05 * torch.tensor([[1.0, -0.6]]) * moment.base.robot.period_s * 60.0 * torch.sign(wheels)
+        moves = wheels.abs() > 0.05 * moment.base.robot.period_s * 60.0
+        return exp_map(twist_of_wheels(wheels + earlier * moves, moment.way, TRACK_MM))
+
+    model = model_of(robots["mgr"], started, "2")
+    for name, start in (("gain_change", {"gain": 1.0, "acts_on": "effort"}), ("actuator_asymmetry", {"ratio": 1.0})):
+        assert nats(model, name, **start) < NAMED / 3
+    assert nats(model_of(robots["mgr"], started, "1"), "actuator_asymmetry", ratio=1.0) > 2 * NAMED
+
+
 def test_another_unit_that_differs_much_is_a_gap(robots):
     assert nats(model_of(robots["mgr"], of_wheels(0.65, 0.65), "2"), "gain_change", gain=1.0) > NAMED
     askew = model_of(robots["mgr"], of_wheels(1.2, 0.8), "2")
     assert nats(askew, "actuator_asymmetry", ratio=1.0) > NAMED
+
+
+def test_another_unit_that_loses_commands_has_no_second_cause(robots):
+    """What a unit does otherwise, it does in the direction of the command that is in force, lost ones or not."""
+    model = model_of(robots["mgr"], Losing(0.08, 1, of_wheels(1.05, 0.96)), "2", noise=3.0)
+    starts = {"command_loss": {"probability": 0.08}, "actuator_asymmetry": {"ratio": 1.0}}
+    loss, askew = (mechanism_class(name).at(start) for name, start in starts.items())
+    alone = estimate(model, [loss])
+    assert alone.evidence - estimate(model, []).evidence > 50 * NAMED
+    assert estimate(model, [loss, askew]).evidence - alone.evidence < NAMED / 3
 
 
 def test_what_differs_more_than_units_do_is_estimated(robots):
@@ -148,8 +174,6 @@ def test_few_units_move_the_prior_a_little_many_more(robots):
 def test_a_reference_of_several_units_expects_what_it_has_seen_and_the_robots_file_goes_before(robots):
     settings = DiagnosisSettings()
     alike = fleet_session(robots["mgr"], 5, 0.0, 4)[1].transitions
-    one = dataclasses.replace(alike, vehicle=np.zeros_like(alike.vehicle))
-    assert Reference.learn(one, 1).unit_spread == settings.units.spread
     assert Reference.learn(alike, 1).unit_spread < 0.7 * settings.units.spread
     measured = Robot.parse({**robots["mgr"].model_dump(mode="json"), "unit_spread": 0.013}, "measured")
     assert Reference.learn(dataclasses.replace(alike, robot=measured), 1).unit_spread == 0.013

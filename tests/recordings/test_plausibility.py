@@ -50,6 +50,7 @@ def test_of_200_mistakes_98_percent_are_refused_or_warned_of(judged):
     assert len(found[REFUSED]) >= 150
 
 
+@pytest.mark.claims
 def test_none_of_200_unusual_but_sound_recordings_is_refused(judged):
     found = outcomes(judged, whole_recordings.unusual())
     assert sum(map(len, found.values())) >= 200

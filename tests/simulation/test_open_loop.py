@@ -104,7 +104,7 @@ def test_the_previous_command_is_that_of_the_step_before(robots):
 
 
 def test_the_earlier_command_is_that_of_two_steps_before(robots):
-    """Of two runs at once; the second begins at its third row, and what came before it is not known there."""
+    """Of two runs at once; the second begins at its third row, where the command before is known, and none earlier."""
     dynamics = inexact(robots, "earlier_command")
     seen = []
     handle = dynamics.encoding.register_forward_pre_hook(lambda _, arguments: seen.append(arguments[0]))
@@ -113,7 +113,9 @@ def test_the_earlier_command_is_that_of_two_steps_before(robots):
     predicted(dynamics, [whole, late])
     handle.remove()
     earlier = torch.stack([situation.earlier_command for situation in seen])
-    assert earlier[:2].isnan().all()
+    assert earlier[0].isnan().all()
+    assert earlier[1, 0].isnan().all()
+    np.testing.assert_allclose(earlier[1, 1], late.command[1], rtol=1e-6)
     np.testing.assert_allclose(earlier[2:, 0], whole.command[:3], rtol=1e-6)
     np.testing.assert_allclose(earlier[2:, 1], late.command[2:5], rtol=1e-6)
 

@@ -25,6 +25,7 @@ def identification(robot, *entries, runs=8, steps=8, **options):
 
 
 @needs_toolbox
+@pytest.mark.claims
 @pytest.mark.parametrize(
     ("entry", "tolerance"),
     [
@@ -40,6 +41,7 @@ def test_a_planted_change_is_named_and_its_size_found(robots, entry, tolerance):
 
 
 @needs_toolbox
+@pytest.mark.claims
 def test_nothing_is_named_where_nothing_hides(robots):
     assert identification(robots["mgr"]).identify().causes == {}
 

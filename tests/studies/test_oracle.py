@@ -104,6 +104,7 @@ def test_the_oracle_names_what_hides_and_nothing_else_and_finds_its_size(robots,
     assert named[name][size] == pytest.approx(entry[size], abs=tolerance)
 
 
+@pytest.mark.claims
 def test_the_oracle_names_nothing_in_clean_sessions_regular_and_unruly(robots):
     assert oracle(likelihood(robots["mgr"], steps=10)).named() == {}
     unruly, twin = (likelihood(robots["mgr"], steps=10, seed=seed, character="unruly") for seed in (6, 7))
@@ -116,6 +117,7 @@ def test_an_unsteady_clock_is_told_by_its_spread(robots):
     assert Oracle(likelihood(robots["mgr"]))._jitter() == {}
 
 
+@pytest.mark.claims
 def test_what_is_in_no_catalogue_gets_no_name_though_a_cause_comes_near_it(robots):
     case = Case(family="formulas", kind="outside", robot="mgr", names=["random_ground"], rises_percent=[1.0], seed=2)
     session = replace(reference_session(case, robots["mgr"]), runs=40, steps=12)

@@ -144,7 +144,8 @@ def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: 
 
 def _gains(diagnosis: DiagnosisResult) -> dict[str, Gain]:
     gain = diagnosis.gain
-    return {"position_mm": gain.position_mm, "orientation_deg": gain.orientation_deg, "open_loop_mm": gain.open_loop_mm}
+    names = ("position_mm", "orientation_deg", "ten_periods_mm", "open_loop_mm")
+    return {name: one for name in names if (one := getattr(gain, name))}
 
 
 def table(diagnosis: DiagnosisResult) -> Table:

@@ -11,7 +11,7 @@
    `random_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -103,8 +103,11 @@ def diagnose(
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         seed=seed,
     )
-    whole = reference.likelihood_of(session).explained_by(explained.best.mechanisms)
-    residual = whole.evaluate([]).residual
+    parts = ((~held_out, explained.model), (held_out, unfitted.explained_by(explained.best.mechanisms)))
+    residual = _together((rows, part.evaluate([]).residual) for rows, part in parts)
+    explained_residual = residual
+    if extended:
+        explained_residual = _together((rows, _residual_of(extended, part)) for rows, part in parts)
     return DiagnosedSession(
         result=result,
         simulation=simulation,
@@ -112,7 +115,7 @@ def diagnose(
         transitions=transitions,
         held_out=held_out,
         residual_before=residual,
-        residual_after=_residual_of(extended, whole) if extended else residual,
+        residual_after=explained_residual,
         runs_before=errors.open_loop,
         runs_after=extended_errors.open_loop,
         next_drive=drive,
@@ -131,8 +134,8 @@ class DependenceTests:
     def __init__(self, reference: Reference, model: SessionLikelihood, seed: int) -> None:
         self._seed, self._discrepancy = seed, reference.discrepancy is not None
         neighbours = reference.settings.reference.overlap_neighbours
-        weight = model.session.covariate_overlap(reference.session, neighbours)
-        own = reference.own_likelihood
+        own = reference.own_likelihood()
+        weight = model.session.covariate_overlap(own.session, neighbours)
         self._of_reference = StandardisedResidual.of(own, own.evaluate([]), weight)
 
     def run(self, model: SessionLikelihood, fitted: FittedMechanisms) -> list[Dependence]:
@@ -159,14 +162,14 @@ def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> flo
     lossy = [kind for kind in kinds.values() if loses_commands([kind])]
     if reference.discrepancy is None or not lossy:
         return 0.0
-    own = reference.own_part(reference.settings.search.most_transitions)
+    own = reference.own_likelihood(reference.settings.search.most_transitions)
     points = lossy[0].initial_points(own.robot, own.session.conditions)
     return float(estimate(own, [lossy[0].at(points[0])]).values[0])
 
 
 def usual_noise_log(reference: Reference) -> float:
     """Return by which factor the reference's own motion is as random as its noise says, its log, measured likewise."""
-    return reference.own_part(reference.settings.search.most_transitions).motion_noise_log()[0]
+    return reference.own_likelihood(reference.settings.search.most_transitions).motion_noise_log()[0]
 
 
 def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:
@@ -240,6 +243,15 @@ def _with_names(objection: str, causes: Sequence[Cause]) -> str:
     """Say what it was that held-out runs do not confirm, and why."""
     fitted = " and ".join(cause.name.replace("_", " ") for cause in causes) or "the extension"
     return f"held-out runs do not confirm {fitted}: {objection}"
+
+
+def _together(parts: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Put values (n, 3) of the transitions that masks (N,) choose into one array (N, 3)."""
+    chosen = list(parts)
+    whole = np.empty((len(chosen[0][0]), 3))
+    for rows, values in chosen:
+        whole[rows] = values
+    return whole
 
 
 def _tell(progress: Progress | None, stage: str) -> None:

@@ -15,7 +15,13 @@ from swarmtwin.diagnosis.discrepancy import Discrepancy
 from swarmtwin.diagnosis.lost_commands import LostCommands, likeliest_errors
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise, log_density
-from swarmtwin.diagnosis.random_effects import RandomEffects, form_effects, simulation_effects, unit_effects
+from swarmtwin.diagnosis.random_effects import (
+    RandomEffects,
+    form_effects,
+    simulation_effects,
+    unit_effects,
+    unit_effects_of_outcomes,
+)
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.diagnosis.settings import DiagnosisSettings
@@ -113,10 +119,16 @@ class SessionLikelihood(SessionErrors):
 
     @cached_property
     def effects(self) -> RandomEffects:
-        """Random effects without any mechanism."""
-        columns = [*simulation_effects(self), *unit_effects(self)]
+        """Random effects without any mechanism: of units first."""
+        columns = [*unit_effects(self), *simulation_effects(self)]
         together = np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
         return RandomEffects.of(np.concatenate([together, self.discrepancy[1]], axis=-1), self.filter, self.weight)
+
+    @cached_property
+    def _unit_effects_where_lost(self) -> np.ndarray:
+        """(N, 3, 4, K) by what the first K of these differ where commands are lost, by which of them arrived."""
+        outcomes = unit_effects_of_outcomes(self)
+        return outcomes - outcomes[:, :, :1]
 
     def whitened(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return the errors (N, 3) with mechanisms, independent and of unit variance, where every command arrives."""
@@ -173,7 +185,10 @@ class SessionLikelihood(SessionErrors):
             scale = self._scale(residual)
             density = log_density(residual / scale, freedom)
         else:
-            lost = LostCommands(self, mechanisms)
+            lost, where_lost = LostCommands(self, mechanisms), self._unit_effects_where_lost
+            for _ in range(2):
+                sizes = effects.sizes(lost.whitened)
+                lost.expect(effects.errors @ sizes, where_lost @ sizes[: where_lost.shape[-1]])
             is_lost = lost.likeliest > 0
             whitened, sizes = lost.whitened, effects.sizes(lost.whitened)
             shift = effects.of_sizes(sizes)

@@ -24,13 +24,24 @@ class LostCommands:
 
     def __init__(self, model: SessionErrors, mechanisms: Sequence[Mechanism]) -> None:
         self._model = model
-        self._arrives = min(max(arrival_probability(mechanisms), 1e-9), 1 - 1e-9)
-        errors, self.likeliest = _courses(model, mechanisms)
-        likeliest = self.likeliest
-        chosen = errors[np.arange(len(errors)), :, likeliest]
+        self._arrives = _arrival_probability(mechanisms)
+        self._errors = _errors_of_courses(model, mechanisms)
+        self.expect(np.zeros((len(self._errors), 3)), np.zeros_like(self._errors))
+
+    def expect(self, effect_errors: np.ndarray, where_lost: np.ndarray) -> None:
+        """Choose the likeliest courses anew, where random effects make errors.
+
+        Args:
+            effect_errors: (N, 3) these errors, where every command arrives.
+            where_lost: (N, 3, 4) what is added to them in each course.
+        """
+        errors = self._errors - where_lost
+        each = np.arange(len(errors))
+        self.likeliest = _likeliest(self._model, errors - effect_errors[..., None], self._arrives)
+        chosen = errors[each, :, self.likeliest]
         history = np.repeat(chosen[..., None], errors.shape[-1], axis=-1)
-        self._courses = model.filter.with_history(errors, history)
-        self.whitened = self._courses[np.arange(len(errors)), :, likeliest]
+        self._courses = self._model.filter.with_history(errors, history)
+        self.whitened = self._courses[each, :, self.likeliest]
 
     def log_density(self, shift: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Return (N,) log densities, each given the transitions before it in its run.
@@ -61,17 +72,25 @@ class LostCommands:
 
 def likeliest_errors(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
     """Return the errors (N, 3) of each transition's likeliest course, by the reference's noise."""
-    errors, likeliest = _courses(model, mechanisms)
-    return errors[np.arange(len(errors)), :, likeliest]
+    errors = _errors_of_courses(model, mechanisms)
+    return errors[np.arange(len(errors)), :, _likeliest(model, errors, _arrival_probability(mechanisms))]
 
 
-def _courses(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> tuple[np.ndarray, np.ndarray]:
-    """Return errors (N, 3, 4) by which commands arrived, and which course each transition most likely took, (N,)."""
-    arrives = min(max(arrival_probability(mechanisms), 1e-9), 1 - 1e-9)
+def _arrival_probability(mechanisms: Sequence[Mechanism]) -> float:
+    return min(max(arrival_probability(mechanisms), 1e-9), 1 - 1e-9)
+
+
+def _errors_of_courses(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+    """Return errors (N, 3, 4) by which commands arrived: both, the last one, the one before, neither."""
+    return np.stack([model.errors_of(twist) for twist in model.predictor.outcomes(mechanisms)], axis=-1)
+
+
+def _likeliest(model: SessionErrors, errors: np.ndarray, arrives: float) -> np.ndarray:
+    """Return (N,) which of the courses with errors (N, 3, 4) each transition most likely took."""
     lost = 1 - arrives
-    errors = np.stack([model.errors_of(twist) for twist in model.predictor.outcomes(mechanisms)], axis=-1)
     chance = np.log([arrives * arrives, arrives * lost, arrives * lost, lost**2])
     noise = model.reference_noise
     spread = noise.spread(model.simulated.numpy())[..., None]
     alone = log_density((errors / spread).transpose(0, 2, 1), noise.degrees_of_freedom) + chance
-    return errors, alone.argmax(axis=1)
+    likeliest: np.ndarray = alone.argmax(axis=1)
+    return likeliest

@@ -115,22 +115,54 @@ def unit_effects(model: SessionErrors) -> Iterator[np.ndarray]:
     """Yield (N, 3) what vehicles that the reference does not know may do otherwise, by fabrication."""
     if not model.strange:
         return
-    transitions, center = model.session.transitions, model.predictor.twist(model.explained)
+    given = model.session.situation
+    assert given.command is not None
+    assert given.previous_command is not None
+    yield from _unit_effects(model, model.predictor.twist(model.explained), (given.command, given.previous_command))
+
+
+def unit_effects_of_outcomes(model: SessionErrors) -> np.ndarray:
+    """Return (N, 3, 4, K) these effects by which commands arrived, of the simulation without mechanisms."""
+    twists, commands = model.predictor.outcomes(()), model.predictor.outcome_commands()
+    outcomes = [
+        list(_unit_effects(model, twist, given)) if model.strange else []
+        for twist, given in zip(twists, commands, strict=True)
+    ]
+    empty = np.zeros((len(model.session), 3, 0))
+    return np.stack([np.stack(effects, axis=-1) if effects else empty for effects in outcomes], axis=2)
+
+
+def _unit_effects(model: SessionErrors, center: Tensor, commands: tuple[Tensor, Tensor]) -> Iterator[np.ndarray]:
+    """Yield (N, 3) what strange vehicles may do otherwise than twists (N, 3) under commands now and before."""
+    transitions = model.session.transitions
     for vehicle in model.strange:
         own = torch.as_tensor(transitions.vehicle == transitions.vehicles.index(vehicle))[:, None]
-        for change in unit_changes(model.predictor, center, model.session):
+        changes = unit_changes(model.predictor, center, model.session, commands)
+        for change in changes + unit_starts(center, model.session):
             twist = center + torch.where(own, change, torch.zeros_like(change)) * model.unit_spread
             yield model.changes_of(twist, center)
 
 
-def unit_changes(predictor: SessionPredictor, twist: Tensor, session: MeasuredSession) -> list[Tensor]:
-    """Return by what simulated twists (N, 3) change, per unit of each difference that a unit may have."""
+def unit_changes(
+    predictor: SessionPredictor, twist: Tensor, session: MeasuredSession, commands: tuple[Tensor, Tensor] | None = None
+) -> list[Tensor]:
+    """Return by what simulated twists (N, 3) change, per unit of each difference that a unit may have.
+
+    Args:
+        predictor: of the simulation.
+        twist: of which differences are looked at.
+        session: of N transitions.
+        commands: (N, m) in force now and before; None: as they were sent.
+    """
     changes = []
     for axis in range(3):
         change = torch.zeros_like(twist)
         change[:, axis] = twist[:, axis]
         changes.append(change)
-    situation = session.situation
+    if commands is None:
+        assert session.situation.command is not None
+        assert session.situation.previous_command is not None
+        commands = session.situation.command, session.situation.previous_command
     actuation, track_mm = session.transitions.robot.actuation, session.conditions.track_mm
     if actuation.kind == "wheel" and track_mm:
         apart = wheel_travel(twist, track_mm) * torch.tensor([[0.5, -0.5]], dtype=twist.dtype)
@@ -138,12 +170,32 @@ def unit_changes(predictor: SessionPredictor, twist: Tensor, session: MeasuredSe
     if actuation.steering:
         column = session.transitions.robot.command_columns.index(actuation.steering)
         step_rad = 0.05  # small beside any steering range, large beside float32
-        assert situation.previous_command is not None
-        askew = [command.clone() for command in (situation.command, situation.previous_command)]
+        askew = [command.clone() for command in commands]
         for command in askew:
             command[:, column] += math.degrees(step_rad)
         changes.append((predictor.base_twist(*askew) - twist) / step_rad)
     return changes
+
+
+def unit_starts(twist: Tensor, session: MeasuredSession) -> list[Tensor]:
+    """Return by what simulated twists (N, 3) change where a unit's actuators start to move at a smaller command.
+
+    They are faster by as much at any speed: per unit of the root mean square of their own.
+    """
+    track_mm = session.conditions.track_mm
+    if session.transitions.robot.actuation.kind == "wheel" and track_mm:
+        faster = _of_one_size(wheel_travel(twist, track_mm))
+        sides = (torch.tensor(side, dtype=twist.dtype) for side in ([[1.0, 1.0]], [[0.5, -0.5]]))
+        return [twist_of_wheels(faster * side, torch.zeros_like(twist), track_mm) for side in sides]
+    ahead = torch.zeros_like(twist)
+    ahead[:, :1] = _of_one_size(twist[:, :1])
+    return [ahead]
+
+
+def _of_one_size(way: Tensor) -> Tensor:
+    """Return ways (N, k) of the same sign and the size of their root mean square; those close to zero stay there."""
+    usual = way.square().mean().sqrt().clamp(min=1e-9)
+    return torch.tanh(4 * way / usual) * usual
 
 
 def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Iterator[np.ndarray]:

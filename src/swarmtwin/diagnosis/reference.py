@@ -148,12 +148,14 @@ class Reference:
         base.motion_noise = MotionNoise.estimate(session.transitions, one_step.numpy())
         measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
         errors = log_map(displacement_between(exp_map(twist), measured)).numpy()
-        first = Noise.learn(errors, twist.numpy(), session, settings.noise)
-        rough = SessionLikelihood(cross_fitted, first, session, settings=settings)
-        noise = Noise.learn(errors - rough.expected_errors, rough.motion, session, settings.noise)
+        rows = _evenly_chosen(session, settings.reference.most_transitions)
+        part, own = session.where(rows), cross_fitted.of_rows(rows)
+        first = Noise.learn(errors[rows], twist[rows].numpy(), part, settings.noise)
+        rough = SessionLikelihood(own, first, part, settings=settings)
+        noise = Noise.learn(errors[rows] - rough.expected_errors, rough.motion, part, settings.noise)
         discrepancy = None
         if reference_discrepancy:
-            alone = SessionLikelihood(cross_fitted, noise, session, settings=settings)
+            alone = SessionLikelihood(own, noise, part, settings=settings)
             discrepancy = Discrepancy.learn(alone, settings.likelihood.discrepancy)
         transitions = session.transitions
         vehicles = tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle))
@@ -168,20 +170,15 @@ class Reference:
             self.base, self.noise, session, self.vehicles, self.unit_spread, self.discrepancy, self.settings
         )
 
-    @property
-    def own_likelihood(self) -> SessionLikelihood:
-        """How likely the reference's own transitions are by what has not seen them."""
-        return SessionLikelihood(
-            self.cross_fitted, self.noise, self.session, discrepancy=self.discrepancy, settings=self.settings
-        )
+    def own_likelihood(self, most: int | None = None) -> SessionLikelihood:
+        """Return how likely the reference's own transitions are by what has not seen them, of `most` of them at most.
 
-    def own_part(self, most: int) -> SessionLikelihood:
-        """Return the same of so many of its transitions at most: every second, third, … run of a longer reference."""
-        every = -(-len(self.session) // most)
-        rows = self.session.run % every == 0
-        part = self.cross_fitted.of_rows(rows)
+        None: of as many as its noise is learned from.
+        """
+        rows = _evenly_chosen(self.session, most or self.settings.reference.most_transitions)
+        own = self.cross_fitted.of_rows(rows)
         return SessionLikelihood(
-            part, self.noise, self.session.where(rows), discrepancy=self.discrepancy, settings=self.settings
+            own, self.noise, self.session.where(rows), discrepancy=self.discrepancy, settings=self.settings
         )
 
     def comparable(self, measured: Recording) -> "ComparableSession":
@@ -268,6 +265,12 @@ def require_enough(session: MeasuredSession, settings: ReferenceSettings, what: 
         raise UserError(
             f"the {what} recording has one constant command throughout: nothing can be told apart; vary the commands"
         )
+
+
+def _evenly_chosen(session: MeasuredSession, most: int) -> np.ndarray:
+    """Return (N,) which transitions are of every second, third, … run, so that they are `most` or about as few."""
+    chosen: np.ndarray = session.run % -(-len(session) // most) == 0
+    return chosen
 
 
 def _twist(base: DynamicsModel, session: MeasuredSession) -> Tensor:

@@ -89,11 +89,19 @@ class Gain(StrictModel):
 
 
 class Gains(StrictModel):
-    """The gain on runs that nothing was fitted to, always in three figures."""
+    """The gain on runs that nothing was fitted to.
+
+    Attributes:
+        position_mm: after one period.
+        orientation_deg: likewise.
+        open_loop_mm: root mean square over whole runs, predicted from their first pose and the commands alone.
+        ten_periods_mm: likewise over ten periods, from poses all over the runs; None in results of older versions.
+    """
 
     position_mm: Gain
     orientation_deg: Gain
     open_loop_mm: Gain
+    ten_periods_mm: Gain | None = None
 
 
 class Dependence(StrictModel):

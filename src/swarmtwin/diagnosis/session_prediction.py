@@ -44,6 +44,10 @@ class LossOutcomes(NamedTuple):
     lost_twice: Tensor
 
 
+_OUTCOMES = ((0, 1, 2), (0, 2, 2), (1, 1, 1), (2, 2, 2))
+"""Of each: which command is in force, which was before, and which before that: 0 the present one, 1 the last, …"""
+
+
 @dataclass(frozen=True)
 class SessionPredictor:
     """Predicts the N transitions of a session under mechanisms.
@@ -109,7 +113,12 @@ class SessionPredictor:
     def outcomes(self, mechanisms: Sequence[Mechanism]) -> LossOutcomes:
         """Return how each transition goes, by which of its commands arrived."""
         ordered = in_signal_order(mechanisms)
-        return LossOutcomes(*(self._twist(ordered, roles) for roles in ((0, 1, 2), (0, 2, 2), (1, 1, 1), (2, 2, 2))))
+        return LossOutcomes(*(self._twist(ordered, roles) for roles in _OUTCOMES))
+
+    def outcome_commands(self) -> list[tuple[Tensor, Tensor]]:
+        """Return the commands (N, m) in force, and those in force before, of each of these ways."""
+        commands = self._commands()
+        return [(commands[now], commands[before]) for now, before, _ in _OUTCOMES]
 
     def most_likely_twist(self, mechanisms: Sequence[Mechanism], residual: ResidualModel | None = None) -> Tensor:
         """Return the most likely measured twists (N, 3), with what was learned beyond the mechanisms."""

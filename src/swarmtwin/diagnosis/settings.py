@@ -25,6 +25,8 @@ class ReferenceSettings(StrictModel):
         coverage_neighbours: reference commands whose distance says whether a measured command is covered.
         coverage_distance: largest such distance, over the median distance within the reference itself,
         coverage_share: or as far as this share of its own commands are from each other.
+        most_transitions: that its noise and its errors are learned from; of a longer reference every second, third, …
+            run. The simulation is learned from all.
         overlap_neighbours: reference transitions that each measured one counts for, when the reference is weighted to
             stand for what it would show if it were driven as the session was.
     """
@@ -35,6 +37,7 @@ class ReferenceSettings(StrictModel):
     coverage_neighbours: Count = 10
     coverage_distance: Positive = 4.0
     coverage_share: Share = 0.99
+    most_transitions: Count = 12000
     overlap_neighbours: Count = 5
 
 
@@ -84,9 +87,10 @@ class UnitSettings(StrictModel):
     """How much two units of a robot are expected to differ by fabrication.
 
     Attributes:
-        spread: standard deviation, as a share, of a unit's speeds and of its left-right difference (of a trim, in rad),
-            where nothing else is known: cheap gear motors are sold with ±10 %, two standard deviations. It is for any
-            robot; a robot's file states its own where units were measured.
+        spread: standard deviation, as a share, of a unit's speeds, of its left-right difference (of a trim, in rad),
+            and of what it is faster by at any speed since it starts to move at a smaller command, where nothing else
+            is known: cheap gear motors are sold with ±10 %, two standard deviations. It is for any robot; a robot's
+            file states its own where units were measured.
         prior_units: how many units that prior counts for against those that a reference has recorded.
     """
 

@@ -82,28 +82,23 @@ def open_loop(simulation: Simulation, tracks: Sequence[Track]) -> list[OpenLoop]
 
 
 def _started(simulation: Simulation, rows: "_Rows", pose: np.ndarray) -> State:
-    """Put one vehicle a track, each in a world of its own, where its prediction begins; at rest, its past not known.
+    """Put one vehicle a track, each in a world of its own, where its prediction begins, after the command before it.
 
-    Where the simulation looks at velocity, with that of the period before, if it was measured.
+    It is at rest; where the simulation looks at velocity, it moves as in the period before, if that was measured.
     """
     first = rows.first_step()
     measured = torch.as_tensor(np.nan_to_num(pose[first]))
     elapsed_s = torch.as_tensor(rows.time_s[first])[:, None]
     true = simulation.from_measured(measured)[:, None]
-    if "velocity" not in simulation.inputs:
-        return simulation.start(true, elapsed_s)
     before = np.maximum(first - 1, 0)
-    known = (rows.track[before] == rows.track[first]) & (before < first)
+    lasted_s = rows.time_s[first] - rows.time_s[before]
+    known = (rows.track[before] == rows.track[first]) & (before < first) & (lasted_s <= simulation.robot.longest_gap_s)
+    previous = torch.as_tensor(np.where(known[:, None], rows.command[before], np.nan))[:, None]
+    if "velocity" not in simulation.inputs:
+        return simulation.start(true, elapsed_s, previous_command=previous)
     moved = log_map(displacement_between(pose[before], pose[first]))
-    lasted_s = np.where(known, rows.time_s[first] - rows.time_s[before], 1.0)
-    velocity = np.where(known[:, None], np.nan_to_num(moved / lasted_s[:, None]), 0.0)
-    previous = np.where(known[:, None], rows.command[before], np.nan)
-    return simulation.start(
-        true,
-        elapsed_s,
-        velocity=torch.as_tensor(velocity)[:, None],
-        previous_command=torch.as_tensor(previous)[:, None],
-    )
+    velocity = np.where(known[:, None], np.nan_to_num(moved / np.where(known, lasted_s, 1.0)[:, None]), 0.0)
+    return simulation.start(true, elapsed_s, velocity=torch.as_tensor(velocity)[:, None], previous_command=previous)
 
 
 def summary(runs: Sequence[OpenLoop]) -> OpenLoopFigure:

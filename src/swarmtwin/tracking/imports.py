@@ -40,9 +40,10 @@ class Code:
         self.empty_files = {
             self.paths[module] for module, tree in trees.items() if all(_is_docstring(node) for node in tree.body)
         }
-        self.plugin_kinds = {module: list(_registries(tree)) for module, tree in trees.items()}
-        self._imports = {module: self._imported(module, tree) for module, tree in trees.items()}
-        self._named = {module: _named_files(source.parent, self.paths[module], tree) for module, tree in trees.items()}
+        nodes = {module: list(ast.walk(tree)) for module, tree in trees.items()}
+        self.plugin_kinds = {module: list(_registries(own)) for module, own in nodes.items()}
+        self._imports = {module: self._imported(module, own) for module, own in nodes.items()}
+        self._named = {module: _named_files(source.parent, self.paths[module], own) for module, own in nodes.items()}
 
     def reached(self, start: str, chosen: Mapping[PluginKind, Sequence[str]], leave_out: Sequence[str]) -> set[Path]:
         """Return the files that a module is made of: itself, what it imports, and so on.
@@ -69,13 +70,13 @@ class Code:
                 waiting += [name for name in plugins if names is None or name.rpartition(".")[2] in names]
         return {file for file in files - self.empty_files if not matches(file, leave_out)}
 
-    def _imported(self, module: str, tree: ast.Module) -> list[str]:
+    def _imported(self, module: str, nodes: Sequence[ast.AST]) -> list[str]:
         """Return the modules of the package that a module imports, and the packages that they are in.
 
         The package itself and `commands` are left out: they hold what a version is and what commands there are.
         """
         names = []
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.Import):
                 names += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom) and node.module:
@@ -94,16 +95,15 @@ def _is_docstring(node: ast.stmt) -> bool:
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
-def _named_files(repository: Path, module: Path, tree: ast.Module) -> list[Path]:
+def _named_files(repository: Path, module: Path, nodes: Sequence[ast.AST]) -> list[Path]:
     """Return the files beside a module, such as templates, whose names stand in it."""
-    texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
+    texts = {node.value for node in nodes if isinstance(node, ast.Constant)}
     others = (file for file in (repository / module).parent.iterdir() if file.suffix not in ("", ".py"))
     return [file.relative_to(repository) for file in others if file.name in texts]
 
 
-def _registries(tree: ast.Module) -> Iterator[PluginKind]:
+def _registries(nodes: Sequence[ast.AST]) -> Iterator[PluginKind]:
     """Find the calls `PluginRegistry(package, noun, group=..., field=...)` in a module."""
-    nodes = list(ast.walk(tree))
     imports = [(node.module, alias) for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
     packages = {alias.asname or alias.name: f"{module}.{alias.name}" for module, alias in imports}
     for node in nodes:

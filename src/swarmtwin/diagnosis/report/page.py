@@ -180,13 +180,15 @@ def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
 
 
 def gain_bars(diagnosis: DiagnosisResult) -> list[Bars]:
-    """Return the three errors as bars."""
+    """Return the errors as bars."""
     gain = diagnosis.gain
-    return [
-        _bars("position after one period", gain.position_mm, "mm", diagnosis),
-        _bars("heading after one period", gain.orientation_deg, "°", diagnosis),
-        _bars("position over whole runs", gain.open_loop_mm, "mm", diagnosis),
-    ]
+    bars = {
+        "position after one period": (gain.position_mm, "mm"),
+        "heading after one period": (gain.orientation_deg, "°"),
+        "position over ten periods": (gain.ten_periods_mm, "mm"),
+        "position over whole runs": (gain.open_loop_mm, "mm"),
+    }
+    return [_bars(title, one, unit, diagnosis) for title, (one, unit) in bars.items() if one]
 
 
 def _bars(title: str, gain: Gain, unit: str, diagnosis: DiagnosisResult) -> Bars:

@@ -22,8 +22,8 @@ def suggested_cause(
         simulated: (N, 3) their simulated displacements.
         significant_z: standard errors over runs from which on a correlation counts.
     """
-    cross_fitted = exp_map(reference.own_likelihood.simulated).numpy()
-    usual = residual_between(cross_fitted, reference.session.transitions.displacement).std(axis=0)
+    own = reference.own_likelihood()
+    usual = residual_between(exp_map(own.simulated).numpy(), own.session.transitions.displacement).std(axis=0)
     residual = residual_between(simulated, transitions.displacement) / usual
     _, run = np.unique(transitions.run, return_inverse=True)
     strongest: dict[str, float] = {}
