@@ -5,6 +5,7 @@ PIP := $(BIN)/pip --disable-pip-version-check install --quiet --no-compile
 export DVC_NO_ANALYTICS := true
 export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
+unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compiled once, when it is first imported
 
 .PHONY: help setup run test claims benchmark lint ui data notebooks dependencies lock queue fuzz kill demo faults
 
