@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compile
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
-	@echo "make claims     test what is stated of the diagnosis and its rivals on many drawn sessions"
+	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
 	@echo "make lint       set up, check style and types"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
@@ -97,10 +97,12 @@ kill: setup  # commands that die at random moments, and are called again; likewi
 
 test: setup
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims" --nbmake tests notebooks
+	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims" tests
 
 claims: setup
+	$(BIN)/dvc pull --quiet data
 	$(BIN)/pytest -n 2 --dist worksteal -m claims tests
+	$(BIN)/pytest -n 2 --nbmake notebooks
 
 benchmark: setup
 	$(BIN)/pytest -m benchmark_figures -s tests/benchmarks

@@ -14,13 +14,20 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
+LONGEST = ("test_diagnose.py", "test_pipeline.py", "test_outside.py")
+
+
 def pytest_collection_modifyitems(items):
-    """Let the two longest modules begin first, each in a half of its own: two workers take a half each."""
-    first = [item for item in items if item.path.name == "test_hidden_causes.py"]
-    second = [item for item in items if item.path.name == "test_pipeline.py"]
-    others = [item for item in items if item not in first and item not in second]
-    middle = max(0, len(items) // 2 - len(first))
-    items[:] = [*first, *others[:middle], *second, *others[middle:]]
+    """Let the longest modules begin first, each in a part of its own: as many workers take a part each."""
+    long = [[item for item in items if item.path.name == name] for name in LONGEST]
+    others = [item for item in items if item.path.name not in LONGEST]
+    ends = [round(number * len(items) / len(LONGEST)) for number in range(len(LONGEST) + 1)]
+    ordered = []
+    for first, end in zip(long, ends[1:], strict=True):
+        room = max(0, end - len(ordered) - len(first))
+        ordered += [*first, *others[:room]]
+        others = others[room:]
+    items[:] = ordered + others
 
 
 @pytest.fixture(scope="session")

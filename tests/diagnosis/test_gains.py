@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from diagnosis_factories import made_result, made_session
 
-from swarmtwin.diagnosis.diagnose import diagnose
-from swarmtwin.diagnosis.gains import not_confirmed, pieces, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, not_confirmed, pieces, scored_tracks
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
 from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
+from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.standin.session import StandInSession
 from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import from_recording
@@ -33,11 +33,6 @@ def reference(recordings):
     return Reference.learn(from_recording(recordings[0])[0], 1)
 
 
-@pytest.fixture(scope="module")
-def diagnosed(reference, recordings):
-    return diagnose(reference, recordings[1], 1)
-
-
 def misread(recording, run, row, off_mm=400.0):
     """The same recording with one pose of a run read elsewhere, as of a swapped marker."""
     tracks = list(recording.tracks)
@@ -47,11 +42,20 @@ def misread(recording, run, row, off_mm=400.0):
     return dataclasses.replace(recording, tracks=tuple(tracks))
 
 
-def test_a_pose_that_no_transition_is_made_of_is_no_open_loop_error(reference, recordings, diagnosed):
-    damaged = diagnose(reference, misread(misread(recordings[1], 3, 0), 7, 17), 1)
-    before = diagnosed.result.gain.open_loop_mm.before
-    assert damaged.result.gain.open_loop_mm.before == pytest.approx(before, rel=0.1)
-    assert damaged.result.gain.position_mm.before == pytest.approx(diagnosed.result.gain.position_mm.before, rel=0.05)
+def errors_of(reference, recording):
+    session, believable, _ = reference.comparable(recording)
+    simulation = Simulation(reference.base, (), session.conditions)
+    scored = session.transitions
+    return Errors.of(simulation, scored, scored_tracks(recording, believable, scored))
+
+
+def test_a_pose_that_no_transition_is_made_of_is_no_open_loop_error(reference, recordings):
+    damaged = misread(misread(recordings[1], 3, 0), 7, 17)
+    before, after = (errors_of(reference, recording) for recording in (recordings[1], damaged))
+    for loops in (lambda errors: errors.open_loop, lambda errors: errors.ten_periods):
+        known, misread_mm = (np.mean([loop.rmse_mm for loop in loops(errors)]) for errors in (before, after))
+        assert misread_mm == pytest.approx(known, rel=0.1)
+    assert after.one_step[:, 0].mean() == pytest.approx(before.one_step[:, 0].mean(), rel=0.05)
 
 
 def test_open_loop_is_compared_at_the_ends_of_the_scored_transitions_alone(recordings):

@@ -1,6 +1,7 @@
 """The study of hidden effects: planted results give planted figures, and wrong names count as wrong."""
 
 import math
+import mmap
 
 import numpy as np
 import pandas as pd
@@ -82,8 +83,10 @@ def test_confidences_that_are_right_as_often_as_they_say_have_no_calibration_err
 def test_the_most_memory_of_a_session_forgets_that_of_the_one_before():
     forget_peak()
     before = peak_mb()
-    np.ones((80, 1024, 128))
+    fresh = mmap.mmap(-1, 80 * 1024**2)  # an array may lie in memory that was used before
+    np.frombuffer(fresh, np.uint8)[:] = 1
     with_80_mb = peak_mb()
+    fresh.close()
     forget_peak()
     assert with_80_mb - before == pytest.approx(80, abs=30)
     assert peak_mb() < before + 30
