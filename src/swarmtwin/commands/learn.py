@@ -25,6 +25,7 @@ from swarmtwin.policies.training import (
     task_in,
 )
 from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, TableSettings, tabulated
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
@@ -45,6 +46,8 @@ class Options(StrictModel):
     evaluate_every: Annotated[int, Field(ge=1)]
     scenes: Annotated[int, Field(ge=1)]
     sampled: bool | None
+    tabulated: bool | None
+    table: TableSettings
     device: Device
     seed: Seed
     seeds: Annotated[int, Field(ge=1)]
@@ -66,6 +69,7 @@ def run(options: Options) -> dict[str, Any]:
     source, simulation = _simulation(options)
     task = task_in(simulation, options.robot, task_to_learn, options.sampled)
     torch_device(options.device)
+    table = _table_of(simulation, options)
     origin = origin_of(source, simulation)
     name = f"{options.robot.name}-{task.config.name}-{algorithm.name}"
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
@@ -83,6 +87,8 @@ def run(options: Options) -> dict[str, Any]:
         if options.pictures:
             draw_learning(folder, folder)
         _track(tracked, results, provenance, time.monotonic() - started)
+        if table:
+            tracked.metrics({"table_position_mm": table.position_mm, "table_heading_deg": table.heading_deg})
         kept = tracked.model(folder, "policy")
         registered = "not registered"
         if options.register_model:
@@ -90,6 +96,10 @@ def run(options: Options) -> dict[str, Any]:
             version = registry.register(f"{options.robot.name}-policy", folder, kept, tracked.run_id, tags)
             registered = _challenge(options, version, folder, task, simulation)
     Console().print(_table(name, provenance))
+    if table:
+        off = f"{table.position_mm:.2g} mm and {table.heading_deg:.2g}° off it (99 % of random commands)"
+        told = f"learned in a table of the simulation, {off}; tabulated=false: in the simulation itself"
+        Console().print(told, highlight=False, soft_wrap=True)
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
     return {**_evaluation(provenance), "output": str(output)}
 
@@ -100,6 +110,16 @@ def _simulation(options: Options) -> tuple[str, Path]:
         return options.simulation, registry.model_folder(options.simulation)
     folder = Path("artifacts/dynamics") / options.robot.name / "crnet_synthetic"
     return str(folder), folder
+
+
+def _table_of(simulation: Path, options: Options) -> TableError | None:
+    """Return how far the table is off that policies are learned in; None where they are not learned in one.
+
+    Raises:
+        UserError: a table is asked for, and there can be none.
+    """
+    dynamics = tabulated(load_simulation(simulation), options.table, options.tabulated).dynamics
+    return dynamics.error if isinstance(dynamics, DisplacementTable) else None
 
 
 def _challenge(options: Options, version: registry.Version, output: Path, task: Task, simulation: Path) -> str:
@@ -141,6 +161,8 @@ def _jobs(
             checkpoint=checkpoints / f"seed-{seed}.ckpt",
             sampled=options.sampled,
             device=options.device,
+            tabulated=options.tabulated,
+            table=options.table,
         )
         for seed in range(options.seed, options.seed + options.seeds)
     ]

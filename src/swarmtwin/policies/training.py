@@ -31,6 +31,7 @@ from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
 from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.rollout import play, roll_out
@@ -91,6 +92,8 @@ class PolicyJob(NamedTuple):
         checkpoint: the file from which an interrupted training continues, written after each evaluation.
         sampled: whether their motion is drawn or the most likely one; None: as `SimulatedMotion` chooses.
         device: where the networks are trained.
+        tabulated: whether a table of the simulation's displacements moves them; None: where it is accurate.
+        table: how fine that is.
     """
 
     robot: Robot
@@ -103,6 +106,8 @@ class PolicyJob(NamedTuple):
     checkpoint: Path | None
     sampled: bool | None = None
     device: Device = "auto"
+    tabulated: bool | None = None
+    table: TableSettings = TableSettings()
 
     def run(self, report: LearningReport | None) -> SeedResult:
         """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
@@ -112,9 +117,9 @@ class PolicyJob(NamedTuple):
     @property
     def identity(self) -> str:
         """Tells apart trainings that may not continue each other."""
-        parts = (self.robot, self.task, self.algorithm, self.schedule)
+        parts = (self.robot, self.task, self.algorithm, self.schedule, self.table)
         settings = [part.model_dump(mode="json") for part in parts]
-        others = [self.digest, self.seed, self.sampled, torch_device(self.device).type]
+        others = [self.digest, self.seed, self.sampled, torch_device(self.device).type, self.tabulated]
         return hashlib.sha256(json.dumps([*settings, *others]).encode()).hexdigest()
 
 
@@ -123,7 +128,8 @@ class Learner:
 
     def __init__(self, job: PolicyJob) -> None:
         self.job = job
-        self.simulation = load_simulation(job.simulation).to(torch_device(job.device))
+        simulation = tabulated(load_simulation(job.simulation), job.table, job.tabulated)
+        self.simulation = simulation.to(torch_device(job.device))
         self.task = job.task.build(job.robot, self.simulation.conditions.arena_mm)
         worlds = job.algorithm.worlds
         self.motion = SimulatedMotion(self.simulation, worlds, self.task.vehicles, job.sampled, job.seed)
