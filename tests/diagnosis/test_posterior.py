@@ -25,7 +25,8 @@ def posterior_of(**evidence):
     logs = np.array(logs)[order]
     sets = [sets[index] for index in order]
     nothing = next(one for one in sets if not one.names)
-    return CausePosterior(tuple(sets), logs - np.logaddexp.reduce(logs), nothing, ODDS_AGAINST)
+    odds = np.array([len(one.names) * ODDS_AGAINST for one in sets])
+    return CausePosterior(tuple(sets), logs - np.logaddexp.reduce(logs), nothing, odds)
 
 
 def test_forms_of_the_same_causes_are_one_set_and_evidence_is_over_nothing():

@@ -26,13 +26,13 @@ class CausePosterior:
         sets: all that were fitted, the most probable first.
         log_probability: of each, normalised over them.
         nothing: the set of no cause.
-        log_odds_against: of each cause beforehand, what is too little to matter included: nats.
+        log_odds_against: of each set beforehand, what is too little to matter included: nats.
     """
 
     sets: tuple[EstimatedSet, ...]
     log_probability: np.ndarray
     nothing: EstimatedSet
-    log_odds_against: float
+    log_odds_against: np.ndarray
 
     @property
     def best(self) -> EstimatedSet:
@@ -60,16 +60,17 @@ class CausePosterior:
         Sets of the same names, whose causes take other forms, are one: their probabilities add up, and the evidence is
         the mean over the forms.
         """
-        together: dict[frozenset[str], list[float]] = {}
-        names: dict[frozenset[str], tuple[str, ...]] = {}
-        for one, log in zip(self.sets, self.log_probability, strict=True):
-            names.setdefault(frozenset(one.names), one.names)
-            together.setdefault(frozenset(one.names), []).append(float(log))
-        logs = {key: float(np.logaddexp.reduce(of_forms)) for key, of_forms in together.items()}
-        ordered = sorted(logs, key=lambda key: -logs[key])
-        nothing = logs[frozenset()]
+        together: dict[frozenset[str], list[int]] = {}
+        for number, one in enumerate(self.sets):
+            together.setdefault(frozenset(one.names), []).append(number)
+        logs, evidence = (
+            {key: float(np.logaddexp.reduce(values[forms])) for key, forms in together.items()}
+            for values in (self.log_probability, self.log_probability + self.log_odds_against)
+        )
+        nothing = evidence[frozenset()]
         return [
-            (names[key], math.exp(logs[key]), logs[key] - nothing + len(key) * self.log_odds_against) for key in ordered
+            (self.sets[together[key][0]].names, math.exp(logs[key]), evidence[key] - nothing)
+            for key in sorted(logs, key=lambda key: -logs[key])
         ]
 
     def without(self, name: str) -> EstimatedSet:
@@ -123,13 +124,18 @@ class CauseSearch:
         return self._posterior(nothing)
 
     def score(self, one: EstimatedSet) -> float:
-        """Return the log of evidence times prior, each cause's gain counted from where it begins to matter.
+        """Return the log of evidence times prior, all forms of a cause equally probable beforehand."""
+        forms = sum(math.log(len(kind.forms())) for kind in one.fitted.kinds)
+        return one.evidence - forms - self._gained_by_usual_loss(one) - self._log_odds_against(one)
 
-        All forms of a cause are equally probable beforehand.
+    def _log_odds_against(self, one: EstimatedSet) -> float:
+        """Return the log of a set's odds beforehand, each cause's gain counted from where it begins to matter.
+
+        A further cause begins to matter where it gains more than what another form of those beside it would.
         """
-        needed = len(one.names) * needed_nats(self.settings, len(self.model.session))
-        needed += sum(math.log(len(kind.forms())) for kind in one.fitted.kinds)
-        return one.evidence - needed - self._gained_by_usual_loss(one)
+        count, gained = len(one.names), one.evidence - self._fit(()).evidence
+        further = self.settings.least_share_beside * max(gained, 0.0) * max(count - 1, 0)
+        return count * needed_nats(self.settings, len(self.model.session)) + further
 
     def _gained_by_usual_loss(self, one: EstimatedSet) -> float:
         """Return the nats that a set with lost commands gains by as many as the reference seems to lose: no news."""
@@ -165,7 +171,7 @@ class CauseSearch:
         ordered = sorted(self.fitted.values(), key=self.score, reverse=True)
         scores = np.array([self.score(one) for one in ordered])
         logs = scores - np.logaddexp.reduce(scores)
-        return CausePosterior(tuple(ordered), logs, nothing, needed_nats(self.settings, len(self.model.session)))
+        return CausePosterior(tuple(ordered), logs, nothing, np.array([self._log_odds_against(one) for one in ordered]))
 
     def _tell(self, stage: str, done: int, whole: int) -> None:
         if self.progress:

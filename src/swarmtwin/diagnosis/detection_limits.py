@@ -86,6 +86,9 @@ class _Limits:
         searched = len(explained.posterior.nothing.fitted.residual)
         self.share_searched = searched / len(self.model.session)
         self.needed = needed_nats(settings, searched) + math.log(settings.named_from / (1 - settings.named_from))
+        if beside:
+            gained = explained.posterior.best.evidence - explained.posterior.nothing.evidence
+            self.needed += settings.least_share_beside * max(gained, 0.0)
         self.unfitted = unfitted
         if unfitted:
             arriving = Surroundings.arriving_of(explained.best.mechanisms)

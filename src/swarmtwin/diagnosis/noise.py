@@ -141,9 +141,9 @@ class NoiseScales:
 
 
 def likeliest_scales(
-    noise: Noise, error: np.ndarray, twist: np.ndarray, session: MeasuredSession, spread: float, most_chains: int = 40
+    noise: Noise, error: np.ndarray, twist: np.ndarray, session: MeasuredSession, spread: float, most_pieces: int = 160
 ) -> NoiseScales:
-    """Return the likeliest factors on a session's noise, at most `most_chains` of its runs looked at.
+    """Return the likeliest factors on a session's noise, of short pieces of its runs, as if each were a run.
 
     Args:
         noise: of the reference.
@@ -151,17 +151,20 @@ def likeliest_scales(
         twist: (N, 3) by which vehicles move.
         session: theirs.
         spread: standard deviation of the logs of the factors' square roots, normal prior.
-        most_chains: pieces of runs that are looked at.
+        most_pieces: that are looked at.
     """
-    chains = session.chains()
-    part = chains[:: max(1, len(chains) // most_chains)]
+    pieces = session.chains(longest=16)
+    pieces = pieces[:: max(1, len(pieces) // most_pieces)]
+    rows = np.concatenate(pieces)
+    ends = np.cumsum([len(piece) for piece in pieces])
+    steps = _steps(np.split(np.arange(len(rows)), ends[:-1]))
+    carry, motion, seen = -inverse_adjoint(twist[rows]), noise.motion_covariance(twist[rows]), error[rows, :, None]
 
     def loss(logs: np.ndarray) -> float:
-        scaled = noise.scaled(NoiseScales(*np.exp(2 * logs)))
-        prepared = NoiseFilter.of(scaled, twist, session, part)
-        rows = np.concatenate(part)
-        density = log_density(prepared(error[..., None])[rows, :, 0], noise.degrees_of_freedom)
-        likelihood = density.sum() - prepared.log_volume[rows].sum()
+        scales = NoiseScales(*np.exp(2 * logs))
+        prepared = NoiseFilter.prepared(steps, carry, scales.motion * motion, noise.scaled(scales).camera)
+        density = log_density(prepared(seen)[..., 0], noise.degrees_of_freedom)
+        likelihood = density.sum() - prepared.log_volume.sum()
         return float(-likelihood * len(error) / len(rows) + ((logs / spread) ** 2).sum() / 2)
 
     simplex = np.concatenate([np.zeros((1, 3)), 0.15 * np.eye(3)])
@@ -232,17 +235,25 @@ class NoiseFilter:
     log_volume: np.ndarray
 
     @classmethod
-    def of(
-        cls, noise: Noise, twist: np.ndarray, session: MeasuredSession, chains: Sequence[np.ndarray] | None = None
-    ) -> Self:
-        """Run the filter's covariances through the chains, by default all."""
-        ordered = sorted(session.chains() if chains is None else chains, key=len, reverse=True)
-        longest = len(ordered[0]) if ordered else 0
-        steps = [np.array([chain[n] for chain in ordered if len(chain) > n]) for n in range(longest)]
-        camera = np.diag(noise.camera)
-        carry, motion = -inverse_adjoint(twist), noise.motion_covariance(twist)
-        whiten, gain, volume = np.zeros_like(carry), np.zeros_like(carry), np.zeros(len(twist))
-        known = np.tile(camera, (len(ordered), 1, 1))
+    def of(cls, noise: Noise, twist: np.ndarray, session: MeasuredSession) -> Self:
+        """Prepare for a session whose vehicles truly move by about `twist` (N, 3)."""
+        return cls.prepared(
+            _steps(session.chains()), -inverse_adjoint(twist), noise.motion_covariance(twist), noise.camera
+        )
+
+    @classmethod
+    def prepared(cls, steps: Sequence[np.ndarray], carry: np.ndarray, motion: np.ndarray, variance: np.ndarray) -> Self:
+        """Run the filter's covariances through chains.
+
+        Args:
+            steps: as the attribute.
+            carry: likewise.
+            motion: (N, 3, 3) covariances of the motion's own part.
+            variance: (3,) of a measured pose.
+        """
+        camera = np.diag(variance)
+        whiten, gain, volume = np.zeros_like(carry), np.zeros_like(carry), np.zeros(len(carry))
+        known = np.tile(camera, (len(steps[0]) if len(steps) else 0, 1, 1))
         for rows in steps:
             before = carry[rows]
             spread = before @ known[: len(rows)] @ before.transpose(0, 2, 1) + motion[rows] + camera
@@ -270,6 +281,13 @@ class NoiseFilter:
                 whitened[rows] = self.whiten[rows] @ errors[rows]
                 expected = self.gain[rows] @ history[rows]
         return whitened
+
+
+def _steps(chains: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the rows of the n-th transitions of all chains that have so many, for n from 0; longest chains first."""
+    ordered = sorted(chains, key=len, reverse=True)
+    longest = len(ordered[0]) if ordered else 0
+    return [np.array([chain[n] for chain in ordered if len(chain) > n]) for n in range(longest)]
 
 
 def log_density(whitened: np.ndarray, freedom: float | None) -> np.ndarray:

@@ -164,6 +164,8 @@ class SearchSettings(StrictModel):
         prior: probability of each cause to be there.
         least_nats_a_transition: that a cause must bring to matter: less is left to what nobody knows exactly. A gain of
             0.005 lowers errors by about 0.2 %.
+        least_share_beside: likewise, of what a set gains, for each cause beyond the first: no form is exact, and one
+            that is wrong by a seventh of its effect leaves that share to whatever picks it up.
         most_causes: in one set.
         most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
         grid_points: of each mechanism's grid, where it is screened.
@@ -179,6 +181,7 @@ class SearchSettings(StrictModel):
 
     prior: Share = 0.05
     least_nats_a_transition: NonNegative = 0.005
+    least_share_beside: NonNegative = 0.02
     most_causes: Count = 4
     most_transitions: Count = 6000
     grid_points: Count = 12
