@@ -10,12 +10,14 @@ import yaml
 from swarmtwin.configuration import config_folder
 from swarmtwin.dynamics.model_config import config_class, model_names
 from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.task import task_config
 from swarmtwin.world.world import World
 
 MEASURED_S = 1.0
+LOOSE = TableSettings(position_mm=1e3, heading_deg=1e3)  # of an untrained network
 PUBLISHED = 4_200
 """Vehicle-steps per second of the authors' environment with five vehicles and their CR-Net, one thread."""
 
@@ -58,16 +60,18 @@ def test_speed_of_the_group_by_model_and_number_of_worlds(robots):
     task = task_config(content, "collective.yaml").build(robots["mgr"])
     sizes = (1, 13, 100, 1000)
     rates = {}
-    for name in ("nothing moves", *model_names()):
+    rows = ("nothing moves", "table", *model_names())
+    for name in rows:
         for worlds in sizes:
             if name == "nothing moves":
                 motion = Nothing(task.robot, worlds, task.vehicles)
             else:
-                dynamics = NetworkDynamics(task.robot, config_class(name)())
-                motion = SimulatedMotion(Simulation(dynamics), worlds, task.vehicles)
+                dynamics = NetworkDynamics(task.robot, config_class("mlp" if name == "table" else name)()).eval()
+                simulation = tabulated(Simulation(dynamics), LOOSE, wanted=name == "table")
+                motion = SimulatedMotion(simulation, worlds, task.vehicles)
             rates[name, worlds] = vehicle_steps_per_s(World(task, motion, worlds, seed=0))
     print(f"\ncollective, 5 vehicles: times the authors' {PUBLISHED:,} vehicle-steps/s, by number of worlds")
-    for name in ("nothing moves", *model_names()):
+    for name in rows:
         figures = "   ".join(f"{worlds}: {rates[name, worlds] / PUBLISHED:6.1f}" for worlds in sizes)
         share = rates[name, 1000] / rates["nothing moves", 1000]
         print(f"{name:>14}   {figures}   ({share:.2f} of the bare world's speed at {sizes[-1]})")
