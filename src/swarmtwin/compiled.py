@@ -16,7 +16,8 @@ def compiled(function: Function) -> Function:
     """Compile a function of arrays and numbers when it is first called; it runs without Python's global lock.
 
     What may be reordered in floating point is: results are those of the plain formulas to rounding, and the same on one
-    machine from run to run. Division by zero gives infinities, and indices are not checked.
+    machine from run to run. Division by zero gives infinities, and indices are not checked. Called from another
+    compiled function it becomes a part of that.
 
     numba keeps what it compiled, but sees only whether the function's own file changed, not one whose functions it
     calls: so the machine code lies in a folder named after all of the package's compiled sources.
@@ -24,10 +25,10 @@ def compiled(function: Function) -> Function:
     settings: Any = numba.config
     folder, settings.CACHE_DIR = settings.CACHE_DIR, settings.CACHE_DIR or str(_cache_folder())
     try:
-        decorated: Function = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy")(function)
+        decorate = numba.njit(cache=True, nogil=True, fastmath=True, error_model="numpy", forceinline=True)
+        return decorate(function)
     finally:
         settings.CACHE_DIR = folder
-    return decorated
 
 
 @cache

@@ -52,7 +52,7 @@ def same_weights(first, second):
 
 
 def test_a_working_learner_solves_a_tiny_problem_and_a_broken_one_does_not(folder, monkeypatch):
-    tiny = policy_job(folder, task_named("obstacle", **EASY), quick(), every=100, scenes=50)
+    tiny = policy_job(folder, task_named("obstacle", **EASY), quick(steps=600), every=100, scenes=50)
     assert tiny.run(None).best.success > 0.6
     reward = Obstacle.reward
     monkeypatch.setattr(Obstacle, "reward", lambda self, scenario, pose: -reward(self, scenario, pose))

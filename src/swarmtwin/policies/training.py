@@ -33,7 +33,7 @@ from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation_folder import load_simulation
-from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.motion import SimulatedMotion, fastest_motion
 from swarmtwin.world.rollout import play, roll_out
 from swarmtwin.world.task import Task, TaskConfig
 from swarmtwin.world.world import World
@@ -132,8 +132,9 @@ class Learner:
         self.simulation = simulation.to(torch_device(job.device))
         self.task = job.task.build(job.robot, self.simulation.conditions.arena_mm)
         worlds = job.algorithm.worlds
-        self.motion = SimulatedMotion(self.simulation, worlds, self.task.vehicles, job.sampled, job.seed)
-        self.env = SharedPolicyEnv(World(self.task, self.motion, worlds, job.seed), reward_scale=1.0)
+        self.motion = fastest_motion(self.simulation, worlds, self.task.vehicles, job.sampled, job.seed)
+        world = World(self.task, self.motion, worlds, job.seed, compiled=True)
+        self.env = SharedPolicyEnv(world, reward_scale=1.0)
         self.algorithm = job.algorithm.build(self.env, job.seed, torch_device(job.device).type)
         self.algorithm.set_logger(Logger(folder=None, output_formats=[]))
         self.scenarios = draw_scenarios(self.task, job.schedule.scenes, "evaluation", seed=0)
@@ -196,8 +197,9 @@ class Learner:
     def _evaluate(self) -> None:
         """Roll the policy out from the evaluation scenarios; what is drawn there is the same every time."""
         policy = self.policy
-        motion = SimulatedMotion(self.simulation, len(self.scenarios), self.task.vehicles, self.job.sampled, seed=0)
-        evaluation = Evaluation.of(self.steps_done, play(self.task, motion, self.scenarios, policy.act))
+        motion = fastest_motion(self.simulation, len(self.scenarios), self.task.vehicles, self.job.sampled, seed=0)
+        played = play(self.task, motion, self.scenarios, policy.act, compiled=True)
+        evaluation = Evaluation.of(self.steps_done, played)
         self.history.append(evaluation)
         if self.best is None or evaluation.rank > self.best.rank:
             self.best = evaluation

@@ -62,16 +62,16 @@ class SharedPolicyEnv(VecEnv):
         share = 0.5 * (np.clip(self._action, -1.0, 1.0).astype(float) + 1.0)
         command = self._low + (self._high - self._low) * share
         step = self.world.step(command.reshape(self.world.shape))
-        last = self._flat(step.observation)
+        last = self._flat(step.observation[step.ended])
         vehicles = self.world.task.vehicles
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for world in np.flatnonzero(step.ended):
-            for row in range(world * vehicles, (world + 1) * vehicles):
-                infos[row] = {
-                    "terminal_observation": last[row],
+        for rank, world in enumerate(np.flatnonzero(step.ended)):
+            for vehicle in range(vehicles):
+                infos[world * vehicles + vehicle] = {
+                    "terminal_observation": last[rank * vehicles + vehicle],
                     "TimeLimit.truncated": bool(step.truncated[world]),
                 }
-        observation = self._flat(self.world.restart(step.ended)) if step.ended.any() else last
+        observation = self._flat(self.world.restart(step.ended, step.observation))
         reward = (step.reward / self.reward_scale).reshape(-1).astype(np.float32)
         return observation, reward, np.repeat(step.ended, vehicles), infos
 
@@ -101,4 +101,4 @@ class SharedPolicyEnv(VecEnv):
         return [None] * self.num_envs
 
     def _flat(self, observation: np.ndarray) -> np.ndarray:
-        return observation.reshape(self.num_envs, -1)
+        return observation.reshape(-1, observation.shape[-1])

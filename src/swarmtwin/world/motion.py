@@ -58,11 +58,7 @@ class SimulatedMotion(Motion):
         Raises:
             UserError: motion is to be drawn, and the simulation does not know of anything random.
         """
-        if sampled and not simulation.is_extended and simulation.motion_noise is None:
-            raise UserError(
-                f"sampled=true: this simulation of {simulation.robot.name!r} does not know how much its motion varies: "
-                "train its dynamics model anew, or leave it out"
-            )
+        check_can_be_sampled(simulation, sampled)
         self.robot = simulation.robot
         self.simulation = simulation.eval()
         self.is_sampled = simulation.is_extended if sampled is None else sampled
@@ -107,3 +103,42 @@ class SimulatedMotion(Motion):
     @property
     def _drawn_from(self) -> torch.Generator | None:
         return self._rng if self.is_sampled else None
+
+
+class CheckpointedMotion(Motion, Protocol):
+    """A motion that can be continued from where it was."""
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Return all that the next motion depends on."""
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a `state` of the same worlds and vehicles."""
+
+
+def check_can_be_sampled(simulation: Simulation, sampled: bool | None) -> None:
+    """Check that a simulation knows what is to be drawn.
+
+    Raises:
+        UserError: motion is to be drawn, and the simulation does not know of anything random.
+    """
+    if sampled and not simulation.is_extended and simulation.motion_noise is None:
+        raise UserError(
+            f"sampled=true: this simulation of {simulation.robot.name!r} does not know how much its motion varies: "
+            "train its dynamics model anew, or leave it out"
+        )
+
+
+def fastest_motion(
+    simulation: Simulation, worlds: int, vehicles: int, sampled: bool | None = None, seed: int = 0
+) -> CheckpointedMotion:
+    """Return what moves W · K vehicles as `SimulatedMotion` does, by compiled code where that can: a bare table.
+
+    What is drawn is of the same distribution, and not the same numbers.
+
+    Raises:
+        UserError: motion is to be drawn, and the simulation does not know of anything random.
+    """
+    from swarmtwin.world.compiled.table_motion import TableMotion, moves_by_table
+
+    kind = TableMotion if moves_by_table(simulation) else SimulatedMotion
+    return kind(simulation, worlds, vehicles, sampled, seed)

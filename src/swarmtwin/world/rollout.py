@@ -162,13 +162,13 @@ def roll_out(world: World, act: Act) -> Rollout:
     )
 
 
-def play(task: Task, motion: Motion, scenario: Scenario, act: Act) -> Rollout:
-    """Roll a task out from the W worlds of a scenario, moved by a motion of as many.
+def play(task: Task, motion: Motion, scenario: Scenario, act: Act, compiled: bool = False) -> Rollout:
+    """Roll a task out from the W worlds of a scenario, moved by a motion of as many; `compiled` as of the `World`.
 
     Raises:
         UserError: a command or a pose is not finite.
     """
-    world = World(task, motion, len(scenario), seed=0)
+    world = World(task, motion, len(scenario), seed=0, compiled=compiled)
     world.start(scenario)
     return roll_out(world, act)
 

@@ -1,5 +1,7 @@
 """Where roll-outs begin and what is asked of the vehicles: the same scenario can be played by any motion."""
 
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -27,6 +29,11 @@ class Scenario:
         worlds = len(start)
         obstacles = np.empty((worlds, 0, 3)) if obstacles is None else obstacles
         return cls(start, targets, obstacles, np.zeros(worlds, dtype=int))
+
+    @classmethod
+    def joined(cls, parts: Sequence["Scenario"]) -> "Scenario":
+        """Return the worlds of several scenarios, one after the other."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
     def __len__(self) -> int:
         return len(self.start)
@@ -64,6 +71,49 @@ class Scenario:
     def from_first_leg(self) -> "Scenario":
         """Return this scenario with every world seeking its first target."""
         return replace(self, leg=np.zeros_like(self.leg))
+
+
+class ScenarioSupply:
+    """Scenarios drawn many at a time, which costs far less than one by one, and handed out one after the other."""
+
+    def __init__(self, draw: Callable[[np.random.Generator, int], Scenario], at_a_time: int, seed: int) -> None:
+        """Draw with a task's `draw`, `at_a_time` or more, from a seed."""
+        self._draw = draw
+        self._at_a_time = at_a_time
+        self._next = 0
+        self.reseed(seed)
+
+    def reseed(self, seed: int) -> None:
+        """Forget what has been drawn; draw from now on from another seed."""
+        self._rng = np.random.default_rng(seed)
+        self._refill()
+
+    def take(self, count: int) -> Scenario:
+        """Return the next `count` scenarios."""
+        parts = []
+        while count:
+            if self._next == len(self._drawn):
+                self._refill()
+            upto = min(self._next + count, len(self._drawn))
+            parts.append(self._drawn.where(np.arange(self._next, upto)))
+            count -= upto - self._next
+            self._next = upto
+        return parts[0] if len(parts) == 1 else Scenario.joined(parts)
+
+    def state(self) -> str:
+        """Return all that the next scenarios depend on, as text."""
+        return json.dumps([self._before, self._next])
+
+    def restore(self, state: str) -> None:
+        """Continue from a `state`."""
+        self._rng.bit_generator.state, following = json.loads(state)
+        self._refill()
+        self._next = following
+
+    def _refill(self) -> None:
+        self._before = self._rng.bit_generator.state
+        self._drawn = self._draw(self._rng, self._at_a_time)
+        self._next = 0
 
 
 def inner_room(low_mm: np.ndarray, high_mm: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:

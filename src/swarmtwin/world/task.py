@@ -70,6 +70,28 @@ class Events:
     left_arena: np.ndarray
     at_target: np.ndarray
 
+    def where(self, worlds: np.ndarray) -> "Events":
+        """Return what has happened in the worlds of a mask (W,), and nothing in the others."""
+        here = worlds[:, None]
+        return Events(self.collided & here, self.left_arena & here, self.at_target & here)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that a task has to say of W · K vehicles at one moment.
+
+    Attributes:
+        observation: (W, K, o) float32 of each vehicle.
+        reward: (W, K) of each for being there.
+        events: what has happened to each.
+        lost: (W,) whether a vehicle is too far outside the arena to go on.
+    """
+
+    observation: np.ndarray
+    reward: np.ndarray
+    events: Events
+    lost: np.ndarray
+
 
 class Task(ABC):
     """One task of one robot: pure functions of a scenario and of poses (W, K, 3).
@@ -147,6 +169,12 @@ class Task(ABC):
         far_mm = self.config.lost_share * min(arena.high_mm - arena.low_mm)
         position = pose[..., :2]
         return np.any((position < arena.low_mm - far_mm) | (position > arena.high_mm + far_mm), axis=(1, 2))
+
+    def measure(self, scenario: Scenario, pose: np.ndarray) -> Measured:
+        """Return observation, reward, events and who is lost, at once."""
+        return Measured(
+            self.observe(scenario, pose), self.reward(scenario, pose), self.events(scenario, pose), self.lost(pose)
+        )
 
     def target_distance_mm(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return how far each vehicle is from the target it seeks, (W, K)."""

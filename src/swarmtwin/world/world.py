@@ -1,14 +1,14 @@
 """W worlds of K vehicles each, vectorised: a task gives observation and reward, a motion says where commands lead."""
 
-import json
 from dataclasses import dataclass
 
 import numpy as np
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
+from swarmtwin.world.compiled import compiled_measure
 from swarmtwin.world.motion import Motion
-from swarmtwin.world.scenario import Scenario
+from swarmtwin.world.scenario import Scenario, ScenarioSupply
 from swarmtwin.world.task import Events, Task
 
 
@@ -70,8 +70,16 @@ class World:
         reached: (W,) whether all targets have been reached.
     """
 
-    def __init__(self, task: Task, motion: Motion, worlds: int, seed: int) -> None:
+    def __init__(self, task: Task, motion: Motion, worlds: int, seed: int, compiled: bool = False) -> None:
         """Join a task and a motion of `worlds` · K vehicles, and start.
+
+        Args:
+            task: what is asked of the vehicles.
+            motion: what moves them.
+            worlds: how many there are side by side, W.
+            seed: of the scenarios.
+            compiled: measure the task by compiled code where there is some for its kind: the same to rounding, for far
+                less time, once numba has been loaded.
 
         Raises:
             UserError: they are of different robots.
@@ -81,8 +89,12 @@ class World:
         self.robot = task.robot
         self.motion = motion
         self.worlds = worlds
-        self._rng = np.random.default_rng(seed)
+        self._measure = compiled_measure(task) if compiled else task.measure
+        self._supply = ScenarioSupply(task.draw, at_a_time=max(16, worlds), seed=seed)
         self._resting_command = self.robot.command_at_rest
+        self._lowest, self._highest = (  # of the full shape: numpy is slow to repeat two numbers
+            np.broadcast_to(limit, self.shape).copy() for limit in (self.robot.command_low, self.robot.command_high)
+        )
         self.reset()
 
     @property
@@ -92,11 +104,11 @@ class World:
 
     def reseed(self, seed: int) -> None:
         """Draw all scenarios from now on with another seed."""
-        self._rng = np.random.default_rng(seed)
+        self._supply.reseed(seed)
 
     def reset(self) -> np.ndarray:
         """Start every world in a new scenario; return the observation (W, K, o)."""
-        return self.start(self.task.draw(self._rng, self.worlds))
+        return self.start(self._supply.take(self.worlds))
 
     def start(self, scenario: Scenario) -> np.ndarray:
         """Start every world in the given scenario, at its first target; return the observation (W, K, o).
@@ -116,17 +128,23 @@ class World:
         self._held_steps = np.zeros(self.worlds, dtype=int)
         return self.observe()
 
-    def restart(self, worlds: np.ndarray) -> np.ndarray:
-        """Start the worlds of a mask (W,) in new scenarios, leave the others; return the observation (W, K, o)."""
+    def restart(self, worlds: np.ndarray, observation: np.ndarray | None = None) -> np.ndarray:
+        """Start the worlds of a mask (W,) in new scenarios, leave the others; return the observation (W, K, o).
+
+        Where the last step's observation is given, only what those worlds observe is written anew, into that array.
+        """
         rows = np.flatnonzero(worlds)
         if len(rows):
-            drawn = self.task.draw(self._rng, len(rows))
+            drawn = self._supply.take(len(rows))
             self.scenario = self.scenario.replaced(rows, drawn)
             self.pose = self.pose.copy()
             self.pose[rows] = self.motion.place(rows, drawn.start)
             for counter in (self.step_count, self.ended, self.reached, self._held_steps):
                 counter[rows] = 0
-        return self.observe()
+        if observation is None:
+            return self.observe()
+        self._observe_anew(rows, observation)
+        return observation
 
     def observe(self) -> np.ndarray:
         """Return what each vehicle observes now, (W, K, o) float32."""
@@ -141,19 +159,21 @@ class World:
         """
         counted = ~self.ended
         command = self._bounded(command)
-        command[self.ended] = self._resting_command
         pose = self.motion.move(command)
         self._check_finite(pose, "pose", "mm, mm, rad", "nothing was measured there")
-        self.pose = np.where(counted[:, None, None], pose, self.pose)
+        self.pose = pose if counted.all() else np.where(counted[:, None, None], pose, self.pose)
         self.step_count += counted
-        reward = np.where(counted[:, None], self.task.reward(self.scenario, self.pose), 0.0)
-        events = self._events(counted)
-        self._follow_targets(events)
-        terminated = counted & self.task.ends_early & (events.collided.any(axis=1) | self.reached)
-        over = (self.step_count >= self.task.steps) | self.task.lost(self.pose)
-        truncated = counted & ~terminated & over
+        measured = self._measure(self.scenario, self.pose)
+        reward, events = measured.reward, measured.events
+        if not counted.all():
+            reward, events = np.where(counted[:, None], reward, 0.0), events.where(counted)
+        self._observe_anew(self._follow_targets(events), measured.observation)
+        terminated = np.zeros_like(counted)
+        if self.task.ends_early:
+            terminated = counted & (events.collided.any(axis=1) | self.reached)
+        truncated = counted & ~terminated & ((self.step_count >= self.task.steps) | measured.lost)
         self.ended = self.ended | terminated | truncated
-        return Step(self.observe(), reward, command, counted, events, self.reached.copy(), terminated, truncated)
+        return Step(measured.observation, reward, command, counted, events, self.reached.copy(), terminated, truncated)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the next step depends on beside the motion, for a checkpoint."""
@@ -167,7 +187,7 @@ class World:
             "ended": self.ended.copy(),
             "reached": self.reached.copy(),
             "held_steps": self._held_steps.copy(),
-            "random": np.array(json.dumps(self._rng.bit_generator.state)),
+            "random": np.array(self._supply.state()),
         }
 
     def restore(self, state: dict[str, np.ndarray]) -> np.ndarray:
@@ -183,7 +203,7 @@ class World:
         self.step_count = state["step_count"].copy()
         self.ended, self.reached = state["ended"].copy(), state["reached"].copy()
         self._held_steps = state["held_steps"].copy()
-        self._rng.bit_generator.state = json.loads(str(state["random"]))
+        self._supply.restore(str(state["random"]))
         return self.observe()
 
     def _bounded(self, command: np.ndarray) -> np.ndarray:
@@ -192,10 +212,14 @@ class World:
             raise ValueError(f"commands of shape {command.shape} for worlds, vehicles, columns {self.shape}")
         columns = ", ".join(self.robot.command_columns)
         self._check_finite(command, "command", columns, "the policy is broken, train it anew")
-        return np.clip(command, self.robot.command_low, self.robot.command_high)
+        command = np.clip(command, self._lowest, self._highest)
+        command[self.ended] = self._resting_command
+        return command
 
     def _check_finite(self, values: np.ndarray, what: str, columns: str, remedy: str) -> None:
         """Check what W · K vehicles were told or measured at, (W, K, ...), where the roll-out goes on."""
+        if np.isfinite(values).all():
+            return
         broken = ~np.isfinite(values).all(axis=2) & ~self.ended[:, None]
         if not broken.any():
             return
@@ -206,18 +230,26 @@ class World:
             f"{given}; {remedy}"
         )
 
-    def _events(self, counted: np.ndarray) -> Events:
-        events = self.task.events(self.scenario, self.pose)
-        here = counted[:, None]
-        return Events(events.collided & here, events.left_arena & here, events.at_target & here)
+    def _observe_anew(self, rows: np.ndarray, observation: np.ndarray) -> None:
+        """Write what is observed now in the worlds at indices (n,) into the observation (W, K, o)."""
+        if len(rows):
+            observation[rows] = self._measure(self.scenario.where(rows), self.pose[rows]).observation
 
-    def _follow_targets(self, events: Events) -> None:
-        """Count the steps in a row in which all vehicles are at the target; pass on to the next one once held."""
+    def _follow_targets(self, events: Events) -> np.ndarray:
+        """Count the steps in a row in which all vehicles are at the target; pass on to the next one once held.
+
+        Returns:
+            (n,) indices of the worlds that pass on.
+        """
         self._held_steps = np.where(events.at_target.all(axis=1), self._held_steps + 1, 0)
         held = self._held_steps >= self.task.hold_steps
         self.reached = self.reached | (held & self.scenario.on_last_leg)
-        self._held_steps[held & ~self.scenario.on_last_leg] = 0
-        self.scenario = self.scenario.advanced(held)
+        advanced = held & ~self.scenario.on_last_leg
+        rows = np.flatnonzero(advanced)
+        if len(rows):
+            self._held_steps[rows] = 0
+            self.scenario = self.scenario.advanced(advanced)
+        return rows
 
 
 def _check_same_robot(wanted: Robot, moved: Robot) -> None:

@@ -1,0 +1,162 @@
+"""Compiled code beside the plain formulas that say what it should give."""
+
+import numpy as np
+import pytest
+from tiny_worlds import dynamics_of, robot_named, task_named
+
+from swarmtwin.dynamics.motion_noise import MotionNoise
+from swarmtwin.errors import UserError
+from swarmtwin.geometry import displacement_between, log_map
+from swarmtwin.simulation.displacement_table import TableSettings, tabulated
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.world.compiled import compiled_measure
+from swarmtwin.world.compiled.table_motion import TableMotion
+from swarmtwin.world.motion import SimulatedMotion, fastest_motion
+from swarmtwin.world.scenario import ScenarioSupply
+from swarmtwin.world.world import World
+
+LOOSE = TableSettings(points=17, position_mm=1e3, heading_deg=1e3)
+NOISE = MotionNoise(
+    at_rest=(0.5, 0.2, 0.001), with_motion=(2.0, 1.0, 0.004), usual_mm=30.0, usual_rad=0.5, camera=(0.3, 0.3, 0.0004)
+)
+
+
+def table_of(noise=None):
+    simulation = Simulation(dynamics_of(robot_named("mgr"), "mlp"), motion_noise=noise)
+    return tabulated(simulation, LOOSE)
+
+
+def crowded(task, worlds, seed):
+    """Scenes in which everything happens: contacts, equal distances, targets held, vehicles outside and lost."""
+    random = np.random.default_rng(seed)
+    scenario = task.draw(random, worlds)
+    low, high = task.arena.low_mm, task.arena.high_mm
+    pose = np.concatenate(
+        [
+            random.uniform(low - 60, high + 60, (worlds, task.vehicles, 2)),
+            random.uniform(-4, 4, (worlds, task.vehicles, 1)),
+        ],
+        -1,
+    )
+    near = random.random(worlds) < 0.5
+    pose[near, :, :2] = scenario.target[near, None] + random.normal(0, 60, (near.sum(), task.vehicles, 2))
+    pose[0, :, :2] = [(400.0 + 60 * place, 500.0) for place in range(task.vehicles)]  # as near on both sides
+    pose[1, 0, :2] = low - 2000
+    pose[2, :, :2] = scenario.target[2]
+    return scenario, pose
+
+
+@pytest.mark.parametrize("changes", [{}, {"sees_walls": True}, {"vehicles": 2, "outside_mm": 30}, {"vehicles": 7}])
+@pytest.mark.parametrize("name", ["collective", "pair"])
+def test_what_a_group_measures_is_what_the_formulas_say(name, changes):
+    task = task_named(name, **changes)
+    measure = compiled_measure(task)
+    assert measure != task.measure
+    for worlds, seed in ((3, 0), (64, 1), (150, 2)):
+        scenario, pose = crowded(task, worlds, seed)
+        plain, fast = task.measure(scenario, pose), measure(scenario, pose)
+        assert fast.observation.dtype == np.float32
+        assert fast.observation == pytest.approx(plain.observation, abs=2e-5)
+        assert fast.reward == pytest.approx(plain.reward, abs=1e-4)
+        for event in ("collided", "left_arena", "at_target"):
+            assert np.array_equal(getattr(fast.events, event), getattr(plain.events, event))
+        assert np.array_equal(fast.lost, plain.lost)
+    assert plain.events.collided.any()
+    assert plain.events.at_target.any()
+    assert plain.lost.any()
+
+
+@pytest.mark.parametrize("task", [task_named("obstacle"), task_named("collective", vehicles=30, separation_mm=101)])
+def test_a_task_without_compiled_code_is_measured_by_its_formulas(task):
+    assert compiled_measure(task) == task.measure
+
+
+def test_a_table_moves_vehicles_as_the_simulation_does():
+    simulation = table_of()
+    plain, fast = SimulatedMotion(simulation, 40, 3), fastest_motion(simulation, 40, 3)
+    assert isinstance(fast, TableMotion)
+    random = np.random.default_rng(0)
+    start = np.concatenate([random.uniform(0, 1000, (40, 3, 2)), random.uniform(-3.1, 3.1, (40, 3, 1))], axis=-1)
+    for motion in (plain, fast):
+        assert motion.place(np.arange(40), start) == pytest.approx(start)
+    low, high = simulation.robot.command_low, simulation.robot.command_high
+    for _ in range(30):
+        command = random.uniform(1.2 * low, 1.2 * high, (40, 3, 2))
+        expected, moved = plain.move(command), fast.move(command)
+        assert moved[..., :2] == pytest.approx(expected[..., :2], abs=0.01)
+        assert np.exp(1j * moved[..., 2]) == pytest.approx(np.exp(1j * expected[..., 2]), abs=1e-5)
+        assert (np.abs(moved[..., 2]) <= np.pi).all()
+
+
+def test_the_random_part_of_a_table_s_motion_has_the_spread_of_the_simulation_s():
+    simulation = table_of(NOISE)
+    worlds, command = 40_000, np.array([90.0, -20.0])
+    twists, measured = {}, {}
+    for kind in (SimulatedMotion, TableMotion):
+        motion = kind(simulation, worlds, 1, sampled=True, seed=3)
+        placed = motion.place(np.arange(worlds), np.zeros((worlds, 1, 3)))
+        moved = motion.move(np.tile(command, (worlds, 1, 1)))
+        twists[kind] = log_map(displacement_between(np.zeros((worlds, 3)), moved[:, 0]))
+        measured[kind] = placed[:, 0]
+    for drawn in (twists, measured):
+        plain, fast = drawn[SimulatedMotion], drawn[TableMotion]
+        spread = plain.std(axis=0)
+        assert (np.abs(plain.mean(axis=0) - fast.mean(axis=0)) < 5 * spread * np.sqrt(2 / worlds)).all()
+        assert fast.std(axis=0) == pytest.approx(spread, rel=0.02)
+        assert np.corrcoef(fast.T) == pytest.approx(np.corrcoef(plain.T), abs=0.03)
+
+
+def test_a_table_s_motion_continues_from_where_it_was():
+    simulation = table_of(NOISE)
+    command = np.random.default_rng(1).uniform(-120, 120, (9, 4, 2, 2))
+    motion = fastest_motion(simulation, 4, 2, sampled=True, seed=5)
+    motion.place(np.arange(4), np.zeros((4, 2, 3)))
+    for moment in range(4):
+        motion.move(command[moment])
+    kept = motion.state()
+    expected = [motion.move(command[moment]) for moment in range(4, 9)]
+    other = fastest_motion(simulation, 4, 2, sampled=True, seed=6)
+    other.restore(kept)
+    assert all(np.array_equal(other.move(command[moment]), expected[moment - 4]) for moment in range(4, 9))
+    with pytest.raises(ValueError, match="does not fit"):
+        fastest_motion(simulation, 5, 2).restore(kept)
+
+
+def test_motion_that_is_not_known_to_vary_is_not_drawn():
+    with pytest.raises(UserError, match="does not know how much its motion varies"):
+        fastest_motion(table_of(), 1, 1, sampled=True)
+
+
+def test_a_compiled_world_lives_through_the_same_as_a_plain_one():
+    task, simulation = task_named("collective", vehicles=2, targets=2, targets_apart_mm=300, steps=80), table_of()
+    worlds = [
+        World(task, motion(simulation, 20, 2), 20, seed=4, compiled=compiled)
+        for motion, compiled in ((SimulatedMotion, False), (fastest_motion, True))
+    ]
+    for world in worlds:
+        world.step_count[:] = 3 * np.arange(20)
+    random, ended = np.random.default_rng(0), 0
+    for _ in range(100):
+        command = random.uniform(-120, 120, worlds[0].shape)
+        plain, fast = (world.step(command) for world in worlds)
+        assert np.array_equal(plain.ended, fast.ended)
+        assert np.array_equal(plain.events.collided, fast.events.collided)
+        assert fast.reward == pytest.approx(plain.reward, abs=0.01)
+        assert fast.observation == pytest.approx(plain.observation, abs=0.01)
+        ended += int(plain.ended.sum())
+        after = [worlds[0].restart(plain.ended), worlds[1].restart(fast.ended, fast.observation)]
+        assert after[1] == pytest.approx(after[0], abs=0.01)
+    assert ended >= 20
+
+
+def test_scenarios_drawn_ahead_are_those_of_the_seed_and_continue():
+    task = task_named("obstacle")
+    supply, same = (ScenarioSupply(task.draw, at_a_time=10, seed=7) for _ in range(2))
+    taken = [supply.take(count).start for count in (3, 4, 25, 1)]
+    assert np.array_equal(np.concatenate(taken), same.take(33).start)
+    kept, expected = supply.state(), supply.take(12).start
+    other = ScenarioSupply(task.draw, at_a_time=10, seed=8)
+    other.restore(kept)
+    assert np.array_equal(other.take(12).start, expected)
+    other.reseed(7)
+    assert np.array_equal(other.take(3).start, taken[0])
