@@ -3,15 +3,15 @@
 from abc import abstractmethod
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
 from pydantic import Field
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.noise import ActionNoise
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.policies import algorithms
+from swarmtwin.policies.lean_updates import SharedGaussianNoise
 from swarmtwin.policies.policy import ACTIVATIONS, Activation, Architecture, Squashing, Widths
 from swarmtwin.robot import Positive, StrictModel
 
@@ -119,15 +119,13 @@ class OffPolicyConfig(AlgorithmConfig):
             "learning_starts": self.random_steps * env.num_envs,
             "train_freq": 1,
             "gradient_steps": self.updates,
-            "policy_kwargs": self.network(),
+            "policy_kwargs": {**self.network(), "optimizer_kwargs": {"fused": True}},
         }
 
 
-def gaussian(env: VecEnv, spread: float) -> NormalActionNoise:
+def gaussian(env: VecEnv, spread: float) -> ActionNoise:
     """Return noise for exploration: normal, with standard deviation `spread` on actions of −1…1."""
-    assert env.action_space.shape is not None
-    mean = np.zeros(env.action_space.shape)
-    return NormalActionNoise(mean, np.full_like(mean, spread))
+    return SharedGaussianNoise(env, spread)
 
 
 ALGORITHMS: PluginRegistry[AlgorithmConfig] = PluginRegistry(algorithms, "algorithm", group="policy")

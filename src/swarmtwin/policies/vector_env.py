@@ -59,12 +59,12 @@ class SharedPolicyEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Let one control period pass; worlds that ended start anew, their last observation stands in the infos."""
-        share = 0.5 * (np.clip(self._action, -1.0, 1.0).astype(float) + 1.0)
-        command = self._low + (self._high - self._low) * share
+        share = 0.5 * (self._action.astype(float) + 1.0)
+        command = self._low + (self._high - self._low) * share  # the world cuts what is beyond the limits
         step = self.world.step(command.reshape(self.world.shape))
         last = self._flat(step.observation[step.ended])
         vehicles = self.world.task.vehicles
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{}] * self.num_envs
         for rank, world in enumerate(np.flatnonzero(step.ended)):
             for vehicle in range(vehicles):
                 infos[world * vehicles + vehicle] = {

@@ -3,12 +3,12 @@
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
-from stable_baselines3 import DDPG
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from swarmtwin.policies.algorithm import OffPolicyConfig, gaussian
+from swarmtwin.policies.lean_updates import LeanDDPG
 
 
 class Config(OffPolicyConfig):
@@ -23,7 +23,7 @@ class Config(OffPolicyConfig):
 
     def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return DDPG with Gaussian exploration."""
-        return DDPG(**self.common(env, seed, device), action_noise=gaussian(env, self.exploration))
+        return LeanDDPG(**self.common(env, seed, device), action_noise=gaussian(env, self.exploration))
 
     def actor(self, algorithm: Any) -> nn.Module:
         """Return the actor."""

@@ -3,12 +3,12 @@
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
-from stable_baselines3 import TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
 from swarmtwin.policies.algorithm import Count, OffPolicyConfig, gaussian
+from swarmtwin.policies.lean_updates import LeanTD3
 
 
 class Config(OffPolicyConfig):
@@ -29,7 +29,7 @@ class Config(OffPolicyConfig):
 
     def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return TD3 with Gaussian exploration."""
-        return TD3(
+        return LeanTD3(
             **self.common(env, seed, device),
             action_noise=gaussian(env, self.exploration),
             policy_delay=self.policy_delay,
