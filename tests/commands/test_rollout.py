@@ -81,6 +81,31 @@ def test_what_is_shown_is_what_was_asked_for(seeker, robots):
     assert [chosen_world(Played(), show) for show in ("worst", "best", "typical")] == [1, 2, 2]
 
 
+def test_the_scripted_policy_needs_no_learning(swarmtwin, workshop, robots):
+    simulation(workshop / "kinematic", robots["mgr"])
+    scripted = ("rollout", "policy=scripted", "task=formation", "task.changes={steps: 60}", "simulation=kinematic")
+    answer = swarmtwin(*scripted, "on=[simulation]", "count=12", "video=false", "output=out")
+    assert answer.status == 0, answer.error
+    metrics = json.loads((workshop / "out" / "metrics.json").read_text())
+    assert metrics["task"] == "formation"
+    assert metrics["simulation"]["success"]["value"] >= 0.9
+
+
+def test_a_policy_that_sees_its_nearest_neighbours_drives_any_number_of_them(swarmtwin, workshop, robots):
+    digest = folder_digest(simulation(workshop / "kinematic", robots["mgr"]))
+    save_seeker(workshop / "seeker", source="kinematic", digest=digest, sees_nearest=3, sees_within_mm=400.0)
+    many = (
+        "task.vehicles=50",
+        "task.arena_mm={x: [0, 3600], y: [0, 3600]}",
+        "task.changes={reach_mm: 800, steps: 120}",
+    )
+    answer = swarmtwin(*ROLLOUT, *many, "on=[simulation]", "output=out")
+    assert answer.status == 0, answer.error
+    steps = pd.read_parquet(workshop / "out" / "rollouts.parquet")
+    assert steps.vehicle.max() == 50
+    assert steps.x_mm.max() > 3000
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -92,6 +117,14 @@ def test_what_is_shown_is_what_was_asked_for(seeker, robots):
         (["robot=mur"], "seeker is a policy of robot 'mgr': add robot=mgr"),
         (["simulation=nowhere"], "no model folder nowhere"),
         (["effects=[{name: gain_chang}]"], "effects: unknown effect 'gain_chang': did you mean 'gain_change'?"),
+        (["policy=scripted"], "policy=scripted is for any task: add task=NAME, one of collective, "),
+        (["policy=scripted", "task=formtion"], "no such task: 'formtion': did you mean 'formation'?"),
+        (
+            ["policy=scripted", "task=formation", "robot=mur"],
+            "task 'formation': collision_mm 100 is less than the width",
+        ),
+        (["task.vehicles=3"], "seeker looks at 10 numbers, and a vehicle of 3 observes 15, of every other one"),
+        (["task.changes={reech_mm: 1}"], "task 'collective': unknown field 'reech_mm': did you mean 'reach_mm'?"),
         (["on=[]"], "options: field 'on': Tuple should have at least 1 item"),
         (["policy=models:/mgr-policy@champion"], "no registered model 'mgr-policy'"),
     ],

@@ -88,7 +88,9 @@ def test_it_shows_poses_ages_and_alarms(view):
         "reason": "withheld: fence",
         "scale": 0,
     }
-    view.publish({"tick": 3, "vehicles": {"2": {**vehicle, "alarm": True}}, "target_mm": [500, 500], "reach_mm": 250})
+    view.publish(
+        {"tick": 3, "vehicles": {"2": {**vehicle, "alarm": True}}, "targets_mm": [[500, 500]], "reach_mm": 250}
+    )
     page = answer(view, "").decode()
     assert "Micro-Ground Robot: collective" in page
     picture = cv2.imdecode(np.frombuffer(answer(view, "picture.jpg"), np.uint8), cv2.IMREAD_COLOR)

@@ -57,3 +57,20 @@ def test_a_vehicle_in_the_obstacle_is_a_reason_to_stop_and_one_beside_it_is_none
     assert conditions.of_positions(np.array([[500.0 - contact_mm, 500.0]])) is None
     said = conditions.of_positions(np.array([[500.0, 400.0]]))
     assert said == "vehicle 1 is in the obstacle at x 500, y 500 mm"
+
+
+def test_a_formation_is_formed_about_the_target_told_by_those_that_stand_there():
+    task = task_named("formation", vehicles=3, shape="line", facing_deg=90).build(robot_named("mgr"))
+    start = np.array([(800.0, 300.0, 0.0), (200.0, 300.0, 0.0), (500.0, 300.0, 0.0)])
+    scenario = scenario_for(task, start, [500.0, 700.0], [], 1)
+    assert scenario.targets[0, 0] == pytest.approx(np.array([(700.0, 700.0), (300.0, 700.0), (500.0, 700.0)]))
+    drawn = scenario_for(task, start, None, [], 1).targets[0, 0]
+    assert np.argsort(drawn[:, 0]).tolist() == [1, 2, 0]
+
+
+def test_a_task_without_a_target_is_told_none():
+    task = task_named("coverage", vehicles=4).build(robot_named("mgr"))
+    start = np.array([(100.0 + 200 * index, 500.0, 0.0) for index in range(4)])
+    assert np.isnan(scenario_for(task, start, None, [], 1).targets).all()
+    with pytest.raises(UserError, match="target: task 'coverage' has no target: leave target= out"):
+        scenario_for(task, start, [500.0, 500.0], [], 1)

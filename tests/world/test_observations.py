@@ -57,6 +57,29 @@ def test_what_is_seen_of_a_neighbour_has_no_jump_where_it_goes_out_of_sight():
     assert np.abs(np.diff(seen, axis=0)).max() < 1e-3
 
 
+def test_the_nearest_alone_are_the_first_of_all():
+    pose = np.random.default_rng(0).uniform(0, 1000, (20, 6, 3))
+    everybody = observations.observe_neighbours(pose, 100, SCALING)
+    for nearest in (0, 2, 5):
+        seen = observations.observe_neighbours(pose, 100, SCALING, nearest)
+        assert np.array_equal(seen, everybody[..., : 5 * nearest])
+
+
+def test_where_nobody_is_in_sight_somebody_is_far_behind_and_not_close():
+    pose = np.array([[(0.0, 0, 0), (200, 0, 0), (0, 301, 0)]])
+    seen = observations.observe_neighbours(pose, 100, SCALING, nearest=4, within_mm=300)[0, 0].reshape(4, 5)
+    assert seen[0] == pytest.approx([1, 0, np.exp(-1), 1, 0])
+    assert seen[1:].tolist() == [[-2, 0, 0, 0, 0]] * 3
+    alone = observations.observe_neighbours(pose[:, :1], 100, SCALING, nearest=1)
+    assert alone.tolist() == [[[-2, 0, 0, 0, 0]]]
+
+
+def test_at_the_edge_of_sight_somebody_is_seen():
+    pose = np.array([[(0.0, 0, 0), (300, 0, 0)]])
+    for within_mm, closeness in ((300, np.exp(-2)), (299.9, 0)):
+        assert observations.observe_neighbours(pose, 100, SCALING, 1, within_mm)[0, 0, 2] == pytest.approx(closeness)
+
+
 def test_walls_are_seen_in_eight_directions():
     arena = robot_named("mur").arena_mm
     seen = dict(

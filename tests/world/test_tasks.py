@@ -1,3 +1,6 @@
+import itertools
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -6,6 +9,7 @@ from tiny_worlds import CONF, TASKS, moved, one_world, robot_named, task_named, 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Arena
 from swarmtwin.world.task import config_class, task_config, task_kinds
+from swarmtwin.world.tasks.formation import formation_offsets_mm
 
 
 def test_every_kind_of_task_has_a_configuration():
@@ -47,7 +51,7 @@ def test_the_same_seed_draws_the_same_scenes_and_another_seed_others(name):
     task = task_named(name)
     first, again, other = (task.draw(np.random.default_rng(seed), 5) for seed in (1, 1, 2))
     assert np.array_equal(first.start, again.start)
-    assert np.array_equal(first.targets, again.targets)
+    assert np.array_equal(first.targets, again.targets, equal_nan=True)
     assert not np.array_equal(first.start, other.start)
 
 
@@ -129,7 +133,7 @@ def test_the_obstacle_is_touched_at_half_a_vehicle_from_its_edge():
         assert task.collided(scenario, scenario.start)[0, 0] == touches
 
 
-@pytest.mark.parametrize("name", ["collective", "obstacle"])
+@pytest.mark.parametrize("name", ["collective", "formation", "obstacle"])
 def test_what_is_seen_and_earned_does_not_depend_on_the_arenas_frame(name):
     task = task_named(name)
     scenario = task.draw(np.random.default_rng(5), 50)
@@ -151,11 +155,11 @@ def test_the_pool_looks_the_same_turned_by_half_a_turn_but_not_shifted():
     assert seen[walls].min() > 0.01
 
 
-@pytest.mark.parametrize("name", ["collective", "pair"])
+@pytest.mark.parametrize("name", ["collective", "coverage", "pair"])
 def test_which_neighbour_is_which_does_not_show(name):
-    task = task_named(name, vehicles=4) if name == "collective" else task_named(name)
+    task = task_named(name) if name == "pair" else task_named(name, vehicles=4)
     scenario = task.draw(np.random.default_rng(7), 50)
-    order = np.array([2, 0, 3, 1]) if name == "collective" else np.array([1, 0])
+    order = np.array([1, 0]) if name == "pair" else np.array([2, 0, 3, 1])
     permuted = scenario.start[:, order]
     assert np.array_equal(task.observe(scenario, permuted), task.observe(scenario, scenario.start)[:, order])
     assert task.reward(scenario, permuted) == pytest.approx(task.reward(scenario, scenario.start)[:, order])
@@ -175,6 +179,15 @@ def test_which_neighbour_is_which_does_not_show(name):
         ("collective", {"collision_mm": 50}, "collision_mm 50 is less than the width of 'mgr', 84 mm"),
         ("collective", {"separation_mm": 90}, "separation_mm 90 is less than collision_mm 100"),
         ("collective", {"targets": 2, "targets_apart_mm": 900}, "lower targets_apart_mm to 364 or less"),
+        ("formation", {"vehicles": 9, "shape": "line"}, "a line of 9 vehicles 200 mm apart is 1600 mm × 0 mm"),
+        ("formation", {"spacing_mm": 90}, "spacing_mm 90 is less than collision_mm 100: vehicles in place would"),
+        (
+            "formation",
+            {"vehicles": 200},
+            "a wedge of 200 vehicles 200 mm apart is 28143 mm × 14142 mm and does not fit",
+        ),
+        ("coverage", {"vehicles": 2}, "2 vehicles that each cover 310 mm about them cover at most 57% of the arena"),
+        ("coverage", {"vehicles": 200}, "200 vehicles do not fit into the arena of 'mgr' with 200 mm between them"),
         ("obstacle", {"distance_mm": 100}, "leaves no room for the obstacle"),
         ("obstacle", {"radius_mm": [60, 400]}, "an obstacle of 400 mm does not fit between start and target"),
     ],
@@ -191,7 +204,8 @@ def test_a_task_that_cannot_be_done_is_refused(name, changes, message):
 def test_a_task_is_played_in_the_arena_that_is_stated(name):
     usual = task_named(name)
     wide = Arena(x=(-1000.0, 2000.0), y=(-500.0, 2500.0))
-    task = task_named(name, arena=wide, steps=500)
+    changes = {"reach_mm": 1000} if name == "coverage" else {}
+    task = task_named(name, arena=wide, steps=500, **changes)
     assert usual.arena == usual.robot.arena_mm
     scenario = task.draw(np.random.default_rng(1), 500)
     position = scenario.start[..., :2]
@@ -222,7 +236,7 @@ def test_a_task_for_another_size_of_robot_is_refused():
             {"kind": "colective"},
             "no such kind of task: 'colective': did you mean 'collective'? known: collective, ",
         ),
-        ({"name": "collective"}, "x: field 'kind' is missing: it says which kind of task; known: collective, obstacle"),
+        ({"name": "collective"}, "x: field 'kind' is missing: it says which kind of task; known: collective, "),
         ({"vehicles": 1}, "x: field 'vehicles': Input should be greater than or equal to 2, got 1"),
         ({"reech_mm": 1}, "x: unknown field 'reech_mm': did you mean 'reach_mm'?"),
     ],
@@ -243,3 +257,122 @@ def test_as_many_as_are_said_to_fit_do_fit():
     scenario = task.draw(np.random.default_rng(0), 20)
     assert scenario.start.shape == (20, fitting, 3)
     assert not task.collided(scenario, scenario.start).any()
+
+
+def test_a_coverage_that_every_start_fulfils_is_refused():
+    task = task_named("coverage", reach_mm=900)
+    with pytest.raises(UserError, match="wherever the vehicles start, they cover enough already; lower reach_mm"):
+        task.draw(np.random.default_rng(0), 3)
+
+
+@pytest.mark.parametrize("name", ["formation", "coverage"])
+def test_one_vehicle_alone_forms_and_covers(name):
+    changes = {"covered": 0.25} if name == "coverage" else {}
+    task = task_named(name, vehicles=1, **changes)
+    scenario = task.draw(np.random.default_rng(0), 5)
+    assert np.isfinite(task.observe(scenario, scenario.start)).all()
+    assert not task.collided(scenario, scenario.start).any()
+
+
+@pytest.mark.parametrize(("field", "value"), [("sees_nearest", -1), ("sees_within_mm", 0)])
+def test_senses_that_nobody_can_have_are_refused(field, value):
+    with pytest.raises(UserError, match=f"field '{field}': Input should be greater than"):
+        task_named("formation", **{field: value})
+
+
+@pytest.mark.parametrize("name", ["collective", "formation", "coverage"])
+def test_five_and_fifty_vehicles_observe_the_same_numbers(name):
+    large = Arena(x=(0.0, 3600.0), y=(0.0, 3600.0))
+    local = {"sees_nearest": 4, "sees_within_mm": 400}
+    reach = {"reach_mm": 700} if name == "collective" else {}
+    shape = {"shape": "circle"} if name == "formation" else {}
+    few = task_named(name, **local)
+    many = task_named(name, vehicles=50, steps=400, arena=large, **local, **reach, **shape)
+    assert few.observation_names == many.observation_names
+    scenario = many.draw(np.random.default_rng(0), 2)
+    assert many.observe(scenario, scenario.start).shape == (2, 50, few.observation_size)
+
+
+@pytest.mark.parametrize("shape", ["line", "circle", "wedge"])
+@pytest.mark.parametrize("vehicles", [1, 2, 5, 8])
+def test_places_next_to_each_other_are_as_far_apart_as_told(shape, vehicles):
+    offsets = formation_offsets_mm(shape, vehicles, 150.0, 30.0)
+    between = np.hypot(*np.moveaxis(offsets[:, None] - offsets, -1, 0))
+    between[np.arange(vehicles), np.arange(vehicles)] = np.inf
+    assert offsets.shape == (vehicles, 2)
+    assert vehicles == 1 or between.min(axis=1) == pytest.approx(np.full(vehicles, 150.0))
+
+
+def test_a_line_stands_across_where_it_faces_and_a_wedge_points_there():
+    line = formation_offsets_mm("line", 3, 100.0, 90.0)
+    assert line[:, 1] == pytest.approx(np.zeros(3), abs=1e-9)
+    assert sorted(line[:, 0]) == pytest.approx([-100, 0, 100])
+    wedge = formation_offsets_mm("wedge", 3, 100.0, 90.0)
+    assert wedge == pytest.approx(np.array([[0, 1], [-1, -1], [1, -1]]) * [70.71, 35.36], abs=0.01)
+
+
+def test_places_go_to_the_vehicles_with_the_least_sum_of_squared_distances():
+    task = task_named("formation", vehicles=4)
+    scenario = task.draw(np.random.default_rng(2), 20)
+    squared = (task.target_distance_mm(scenario, scenario.start) ** 2).sum(axis=1)
+    for order in itertools.permutations(range(4)):
+        other = replace(scenario, targets=scenario.targets[:, :, list(order)])
+        assert (squared <= (task.target_distance_mm(other, scenario.start) ** 2).sum(axis=1) + 1e-6).all()
+
+
+def test_which_vehicle_is_which_does_not_matter_to_a_formation():
+    task = task_named("formation")
+    scenario = task.draw(np.random.default_rng(7), 20)
+    order = np.array([2, 0, 4, 3, 1])
+    other = task.beginning(scenario.start[:, order], scenario.targets)
+    assert np.array_equal(other.targets[:, 0], scenario.targets[:, 0, order])
+    seen = task.observe(scenario, scenario.start)
+    assert np.array_equal(task.observe(other, other.start), seen[:, order])
+
+
+def test_the_formations_reward_by_hand():
+    task = task_named("formation", vehicles=2, shape="line", facing_deg=90)
+    pose = [(400.0, 500.0, 0.3), (540.0, 500.0, 0.0)]
+    scenario = task.beginning(np.array([pose]), np.array([[(500.0, 500.0)]]))
+    assert scenario.target[0].tolist() == pytest.approx(np.array([(400, 500), (600, 500)]))
+    assert task.reward(scenario, scenario.start)[0] == pytest.approx([0.5 - 0.5, -0.06 - 0.5])
+    assert task.events(scenario, scenario.start).at_target.tolist() == [[True, False]]
+
+
+def test_the_covered_share_is_that_of_circles():
+    """One vehicle in the middle of the arena, and one at its edge; the grid is fine enough for a few parts in 1000."""
+    task = task_named("coverage", grid=200)
+    pose = np.array([[(515.0, 515.0, 0.0)], [(515.0, 0.0, 1.0)]])
+    circle = np.pi * 310**2 / 1030**2
+    assert task.covered_share(pose) == pytest.approx([circle, circle / 2], abs=2e-3)
+
+
+def test_two_vehicles_share_the_ground_at_the_line_between_them():
+    task = task_named("coverage", vehicles=3, grid=200, reach_mm=5000)
+    pose = np.array([[(257.5, 515.0, 0.0), (772.5, 515.0, 0.0), (257.5, 515.0, 0.0)]])
+    middle = task.middle_of_own_ground(pose)[0]
+    assert middle[:2] == pytest.approx(np.array([(257.5, 515.0), (772.5, 515.0)]))
+    assert middle[2] == pytest.approx(pose[0, 2, :2])  # nothing is left to it
+
+
+def test_going_to_the_middle_of_ones_own_ground_never_brings_the_ground_further_away():
+    task = task_named("coverage", reach_mm=5000, covered=1.0)
+    pose = np.concatenate([np.random.default_rng(3).uniform(100, 900, (30, 5, 2)), np.zeros((30, 5, 1))], axis=-1)
+
+    def squared_mm(pose):
+        away = np.hypot(*np.moveaxis(task.ground[:, None] - pose[:, None, :, :2], -1, 0)).min(axis=2)
+        return (away**2).mean(axis=1)
+
+    for _ in range(10):
+        before = squared_mm(pose)
+        pose[..., :2] = task.middle_of_own_ground(pose)
+        assert (squared_mm(pose) <= before + 1e-6).all()
+
+
+def test_the_coverages_reward_by_hand():
+    task = task_named("coverage", vehicles=3, grid=1, covered=0.5)
+    pose = np.array([[(515.0, 415.0, 0.0), (515.0, 295.0, 0.0), (100.0, 900.0, 0.0)]])
+    scenario = one_world(task, pose[0], (np.nan, np.nan))
+    assert task.ground.tolist() == [[515.0, 515.0]]
+    assert task.reward(scenario, pose)[0] == pytest.approx([-0.5 - 0.5, -0.5 - 0.5, -0.5])
+    assert task.events(scenario, pose).at_target.all()

@@ -117,6 +117,11 @@ def _policy(named: str, robot: Robot) -> None:
     _model(named, robot, "policy.yaml", "policy", "learn")
 
 
+def _rolled_out_policy(named: str, robot: Robot) -> None:
+    if named != "scripted":
+        _policy(named, robot)
+
+
 def _candidate(named: str, robot: Robot) -> None:
     if folder := named_folder(named):
         (_policy if (folder / "policy.yaml").exists() else _model)(named, robot)
@@ -189,7 +194,7 @@ def _calibration(named: str, robot: Robot) -> None:
 INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "from": _generator,
     "simulation": _model,
-    "policy.folder": _policy,
+    "policy.folder": _rolled_out_policy,
     "candidate": _candidate,
     "transitions": _transitions,
     "synthetic": _transitions,

@@ -8,11 +8,12 @@ from rich.console import Console
 
 from swarmtwin.files import check_output, new_folder
 from swarmtwin.learning.device import Device
-from swarmtwin.policies.policy_folder import ModelFolder, TaskName, load_policy
+from swarmtwin.policies.policy_folder import ModelFolder, PlayedTask, StoredPolicy, load_policy
 from swarmtwin.policies.rollout_comparison import check_count, metrics_of, tracked_figures
 from swarmtwin.policies.rollout_folder import save_rollout
 from swarmtwin.policies.rollout_plots import draw_rollout
 from swarmtwin.policies.rollout_table import comparison_table
+from swarmtwin.policies.scripted_policy import SCRIPTED, ScriptedTask
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.studies.rollout_runner import MotionName, roll_out_policy
 from swarmtwin.studies.tracked_inputs import model_input
@@ -27,7 +28,7 @@ class Options(StrictModel):
 
     robot: Robot
     policy: ModelFolder
-    task: TaskName
+    task: PlayedTask
     simulation: str | None
     on: Annotated[tuple[MotionName, ...], Field(min_length=1)]
     vehicles: Vehicles
@@ -47,19 +48,19 @@ def run(options: Options) -> dict[str, Any]:
     """Roll out, save figures, every step, pictures and the film, track the run and show a table; return them.
 
     Raises:
-        UserError: no such policy or simulation, they do not fit each other or the vehicles, too few roll-outs, or the
-            output is taken.
+        UserError: no such policy, task or simulation, they do not fit each other or the vehicles, too few roll-outs,
+            or the output is taken.
     """
     check_count(options.count)
     settings = options.model_dump(mode="json")
-    folder_of_policy = registry.model_folder(options.policy.folder, options.task.name)
-    check_output(options.output, "rollout", options.overwrite, [folder_of_policy])
-    policy = load_policy(folder_of_policy, options.robot, options.task.name)
+    policy = _policy(options)
+    learned = [policy.folder] if isinstance(policy, StoredPolicy) else []
+    check_output(options.output, "rollout", options.overwrite, learned)
     name = f"{options.robot.name}-{policy.task.name}"
-    given = model_input(folder_of_policy, "policy")
+    given = [model_input(folder, "policy") for folder in learned]
     with (
-        new_folder(options.output, "rollout", settings, options.overwrite, inputs=[folder_of_policy]) as folder,
-        tracked_run("transfer", f"rollout {name}", settings, [given], options.seed) as tracked,
+        new_folder(options.output, "rollout", settings, options.overwrite, inputs=learned) as folder,
+        tracked_run("transfer", f"rollout {name}", settings, given, options.seed) as tracked,
     ):
         rollouts = roll_out_policy(
             policy,
@@ -78,8 +79,16 @@ def run(options: Options) -> dict[str, Any]:
         draw_rollout(folder, folder)
         figures = tracked_figures(metrics)
         tracked.metrics(figures)
-        tracked.tag("policy.digest", given.digest)
+        tracked.tag("policy.digest", given[0].digest if given else SCRIPTED)
         tracked.folder(folder, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
     Console().print(f"figures, pictures and film: {options.output}", highlight=False, soft_wrap=True)
     return {**figures, "output": str(options.output)}
+
+
+def _policy(options: Options) -> StoredPolicy | ScriptedTask:
+    """Return the policy to roll out, for the task asked for."""
+    if options.policy.folder == SCRIPTED:
+        return ScriptedTask(options.robot, options.task.name, options.task)
+    folder = registry.model_folder(options.policy.folder, options.task.name)
+    return load_policy(folder, options.robot, options.task.name).in_changed_task(options.task)

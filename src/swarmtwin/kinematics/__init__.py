@@ -129,6 +129,14 @@ class KinematicEquations(ABC):
     def parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return the parameters by name, with the unit in the name, sized for a robot."""
 
+    def nominal_values(self, robot: DrivenRobot) -> Mapping[str, float]:
+        """Return the parameters of a vehicle that nobody has recorded, by name: positive ones as sized, signed ones 0.
+
+        A drive that steers by a signed one states its usual value instead.
+        """
+        parameters = self.parameters(robot)
+        return {name: 0.0 if parameter.signed else parameter.size for name, parameter in parameters.items()}
+
     def momentum_parameters(self, robot: DrivenRobot) -> Mapping[str, PhysicalParameter]:
         """Return the parameters that `velocities_after` has beyond these; none: the motion has no momentum."""
         return {}

@@ -40,6 +40,10 @@ class Equations(KinematicEquations):
             "trim_deg": PhysicalParameter(5, signed=True),
         }
 
+    def nominal_values(self, robot: DrivenRobot) -> Mapping[str, float]:
+        """Let a positive mean angle turn the vehicle to the left, as with every steering."""
+        return {**super().nominal_values(robot), "turn_rad_s": self.parameters(robot)["turn_rad_s"].size}
+
     def velocities(
         self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot
     ) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,8 +1,10 @@
 """A policy as a folder: a description to read, weights that nothing executable can hide in, and the same as ONNX."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
+from pydantic import Field
 from torch import Tensor
 
 from swarmtwin.errors import UserError
@@ -87,6 +89,33 @@ class TaskName(StrictModel):
     name: str | None
 
 
+class TaskChanges(StrictModel):
+    """How a task is to differ from the one that a policy was learned for, where the policy can drive it all the same.
+
+    Attributes:
+        vehicles: how many there are; None: as many as in the task.
+        arena_mm: where they drive; None: where the policy was learned.
+        changes: any other fields of the task by name, with their values; None: as in the task.
+    """
+
+    vehicles: Annotated[int, Field(ge=1)] | None = None
+    arena_mm: Arena | None = None
+    changes: dict[str, Any] | None = None
+
+    def of(self, task: TaskConfig) -> TaskConfig:
+        """Return a task with the changes.
+
+        Raises:
+            UserError: the task has no such field, or it cannot have that value.
+        """
+        vehicles = {} if self.vehicles is None else {"vehicles": self.vehicles}
+        return task_config({**task.model_dump(mode="json"), **(self.changes or {}), **vehicles}, f"task {task.name!r}")
+
+
+class PlayedTask(TaskName, TaskChanges):
+    """The task that a policy must be for, and how it is to differ from the one that the policy was learned for."""
+
+
 DESCRIPTION = "policy.yaml"
 
 
@@ -140,8 +169,27 @@ class StoredPolicy:
         self.provenance = provenance
 
     def build_task(self) -> Task:
-        """Return the task that the policy was learned for."""
+        """Return the task that the policy was learned for, or that it is to do instead."""
         return self.task.build(self.robot, self.arena)
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Return commands (W, K, m) for the observations (W, K, o) of W · K vehicles."""
+        return self.policy.act(observation)
+
+    def in_changed_task(self, changes: TaskChanges) -> "StoredPolicy":
+        """Return the policy with the task changed, such as to another number of vehicles.
+
+        Raises:
+            UserError: the robot cannot do that task, or the policy sees other things than its vehicles do.
+        """
+        task, arena = changes.of(self.task), changes.arena_mm or self.arena
+        shown, looked_at = task.build(self.robot, arena).observation_names, self.policy.observation_names
+        if shown != looked_at:
+            raise UserError(
+                f"{self.folder} looks at {len(looked_at)} numbers, and a vehicle of {task.vehicles} observes "
+                f"{len(shown)}, of every other one: learn a policy with task.sees_nearest=4 for any number of vehicles"
+            )
+        return StoredPolicy(self.folder, self.policy, task, arena, self.provenance)
 
 
 def save_policy(folder: Path, policy: Policy, task: TaskConfig, arena: Arena, provenance: PolicyProvenance) -> None:

@@ -23,9 +23,10 @@ def comparison_table(name: str, rollouts: dict[str, Rollout], metrics: dict[str,
     for quantity, label in labels.items():
         rates = [getattr(each, quantity) for each in figures]
         shown.add_row(label, *(f"{rate.value:.0%} ({rate.low:.0%} to {rate.high:.0%})" for rate in rates))
-    shown.add_row("time to reach, s", *(_spread(f.reach_time_s, f.reach_time_sd_s) for f in figures))
+    shown.add_row("time to reach, s", *(_spread(f.reach_time_s, f.reach_time_sd_s, 1, "none did") for f in figures))
     shown.add_row(
-        "distance in the end, mm", *(f"{f.final_distance_mm:.0f} ± {f.final_distance_sd_mm:.0f}" for f in figures)
+        "distance in the end, mm",
+        *(_spread(f.final_distance_mm, f.final_distance_sd_mm, 0, "no target") for f in figures),
     )
     shown.caption = "mean ± standard deviation over roll-outs; rates with 95 % intervals"
     if difference := metrics.get("reward_difference_percent"):
@@ -34,5 +35,5 @@ def comparison_table(name: str, rollouts: dict[str, Rollout], metrics: dict[str,
     return shown
 
 
-def _spread(mean: float, deviation: float) -> str:
-    return "none did" if np.isnan(mean) else f"{mean:.1f} ± {deviation:.1f}"
+def _spread(mean: float, deviation: float, digits: int, missing: str) -> str:
+    return missing if np.isnan(mean) else f"{mean:.{digits}f} ± {deviation:.{digits}f}"

@@ -67,7 +67,9 @@ def scenario_for(
     free = _is_free(task, drawn.targets, stand)
     if target is not None:
         targets = np.array(target, float).reshape(-1, 2)[None]
-        if targets.shape != drawn.targets[:1].shape:
+        if np.isnan(drawn.targets).all():
+            raise UserError(f"target: task {task.config.name!r} has no target: leave target= out")
+        if targets.shape[1] != task.legs:
             raise UserError(f"target: task {task.config.name!r} has {task.legs} targets, {targets.shape[1]} are given")
         low, high = task.arena.low_mm, task.arena.high_mm
         if not ((targets >= low) & (targets <= high)).all():
@@ -78,12 +80,13 @@ def scenario_for(
         raise UserError("no target can be drawn beside the obstacles: give target=[x, y]")
     else:
         targets = drawn.targets[np.flatnonzero(free)[:1]]
-    return Scenario.beginning(start[None], targets, stand[None])
+    return task.beginning(start[None], targets, stand[None])
 
 
 def _is_free(task: Task, targets: np.ndarray, obstacles: np.ndarray) -> np.ndarray:
-    """Return whether vehicles can be at all targets (W, G, 2) without touching one of the obstacles (O, 3), (W,)."""
-    away = np.linalg.norm(targets[:, :, None] - obstacles[:, :2], axis=-1) - obstacles[:, 2]
+    """Return whether vehicles can be at all targets (W, ..., 2) without touching one of the obstacles (O, 3), (W,)."""
+    places = targets.reshape(len(targets), -1, 1, 2)
+    away = np.linalg.norm(places - obstacles[:, :2], axis=-1) - obstacles[:, 2]
     free: np.ndarray = np.all(away > max(task.robot.vehicle_size_mm) / 2, axis=(1, 2))
     return free
 
@@ -108,7 +111,7 @@ def deployment_metrics(real: Rollout | None, simulated: Rollout | None, counters
             "collision": bool(real.collided_step[0] != NEVER),
             "left_arena": bool(real.left_step[0] != NEVER),
             "reach_time_s": None if np.isnan(real.reach_time_s[0]) else float(real.reach_time_s[0]),
-            "final_distance_mm": float(real.final_distance_mm[0]),
+            "final_distance_mm": None if np.isnan(real.final_distance_mm[0]) else float(real.final_distance_mm[0]),
         }
     if real is not None and simulated is not None:
         metrics["simulation"] = plain_figures(figures_of(simulated))

@@ -8,6 +8,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.policies.policy_folder import StoredPolicy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
+from swarmtwin.policies.scripted_policy import ScriptedTask
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.simulation import Simulation
@@ -27,7 +28,7 @@ MotionName = Literal["simulation", "stand_in"]
 
 
 def roll_out_policy(
-    policy: StoredPolicy,
+    policy: StoredPolicy | ScriptedTask,
     motions: Sequence[MotionName],
     *,
     count: int,
@@ -45,7 +46,7 @@ def roll_out_policy(
         motions: what moves the vehicles.
         count: of roll-outs.
         seed: of the starts and of what is drawn.
-        simulation: a folder or a registered model; None: that which the policy was learned in.
+        simulation: a folder or a registered model; None: that which the policy was learned in, or the pipeline's.
         sampled: whether the simulation is sampled; None: as `SimulatedMotion` chooses.
         device: where the simulation computes.
         vehicles: ids of the stand-ins; None: as `other_vehicles` chooses.
@@ -83,12 +84,14 @@ def other_vehicles(chosen: Sequence[str] | None, task: Task) -> tuple[str, ...]:
     return tuple(chosen)
 
 
-def simulation_of(policy: StoredPolicy, chosen: str | None, robot: Robot) -> Simulation:
-    """Return the simulation chosen, or the one that a policy was learned in.
+def simulation_of(policy: StoredPolicy | ScriptedTask, chosen: str | None, robot: Robot) -> Simulation:
+    """Return the simulation chosen, or the one that a policy was learned in; of a scripted one, the pipeline's.
 
     Raises:
         UserError: there is none, or it is of another robot.
     """
+    if isinstance(policy, ScriptedTask):
+        return load_simulation(registry.model_folder(chosen or str(policy.simulation)), robot)[0]
     learned_in = policy.provenance.simulation
     reference = chosen or learned_in.source
     try:
@@ -104,7 +107,11 @@ def simulation_of(policy: StoredPolicy, chosen: str | None, robot: Robot) -> Sim
 
 
 def in_simulation(
-    policy: StoredPolicy, simulation: Simulation, scenario: Scenario, sampled: bool | None = None, seed: int = 0
+    policy: StoredPolicy | ScriptedTask,
+    simulation: Simulation,
+    scenario: Scenario,
+    sampled: bool | None = None,
+    seed: int = 0,
 ) -> Rollout:
     """Roll a policy out in a simulation, sampled with a seed or most likely; None: as `SimulatedMotion` chooses.
 
@@ -113,11 +120,15 @@ def in_simulation(
     """
     task = policy.build_task()
     motion = SimulatedMotion(simulation, len(scenario), task.vehicles, sampled, seed)
-    return play(task, motion, scenario, policy.policy.act)
+    return play(task, motion, scenario, policy.act)
 
 
 def on_stand_ins(
-    policy: StoredPolicy, vehicles: Sequence[str], scenario: Scenario, seed: int, effects: Sequence[Any] = ()
+    policy: StoredPolicy | ScriptedTask,
+    vehicles: Sequence[str],
+    scenario: Scenario,
+    seed: int,
+    effects: Sequence[Any] = (),
 ) -> Rollout:
     """Roll a policy out on stand-ins.
 
@@ -127,4 +138,4 @@ def on_stand_ins(
     task = policy.build_task()
     told = parse_effects(effects, policy.robot, len(vehicles))
     live = LiveVehicles(policy.robot, vehicles, len(scenario), seed, told, planned_steps=task.steps)
-    return play(task, live, scenario, policy.policy.act)
+    return play(task, live, scenario, policy.act)

@@ -8,6 +8,7 @@ import numpy as np
 
 from swarmtwin.geometry import rotate
 from swarmtwin.robot import Arena, Positive, StrictModel
+from swarmtwin.world.neighbours import nearest_others
 from swarmtwin.world.scenario import Scenario
 
 WALL_DIRECTIONS = ("ahead", "ahead_left", "left", "behind_left", "behind", "behind_right", "right", "ahead_right")
@@ -54,42 +55,57 @@ def wall_names() -> tuple[str, ...]:
 
 
 def observe_target(scenario: Scenario, pose: np.ndarray, scaling: ObservationScaling) -> np.ndarray:
-    """Return where the target is, (W, K, 5): scaled position, unit direction, scaled distance."""
-    position = rotate(scenario.target[:, None] - pose[..., :2], -pose[..., 2])
+    """Return where each vehicle's target is, (W, K, 5); see `observe_place`."""
+    return observe_place(scenario.target_of_each, pose, scaling)
+
+
+def observe_place(place: np.ndarray, pose: np.ndarray, scaling: ObservationScaling) -> np.ndarray:
+    """Return where places (W, K, 2), or (W, 1, 2), are, (W, K, 5): scaled position, unit direction, scaled distance."""
+    position = rotate(place - pose[..., :2], -pose[..., 2])
     distance_mm = np.hypot(position[..., 0], position[..., 1])[..., None]
     direction = position / np.maximum(distance_mm, 1e-6)  # 0 at the target itself
     return np.concatenate([position / scaling.target_mm, direction, distance_mm / scaling.target_mm], axis=-1)
 
 
-def between_vehicles_mm(pose: np.ndarray) -> np.ndarray:
-    """Return the distances (W, K, K) between the centres of vehicles at (W, K, 3); infinite from one to itself."""
-    away = pose[:, None, :, :2] - pose[:, :, None, :2]
-    distance_mm = np.hypot(away[..., 0], away[..., 1])
-    itself = np.arange(pose.shape[1])
-    distance_mm[:, itself, itself] = np.inf
-    return distance_mm
+def observe_neighbours(
+    pose: np.ndarray,
+    contact_mm: float,
+    scaling: ObservationScaling,
+    nearest: int | None = None,
+    within_mm: float | None = None,
+) -> np.ndarray:
+    """Return the other vehicles, nearest first, (W, K, n · 5): position, closeness, cos and sin of the heading.
 
+    Which vehicle it is does not show. Where there are fewer than n within sight, nobody is there: straight behind at
+    the edge of the range, with closeness 0 and no heading, so that it looks like somebody far away who is in nobody's
+    way.
 
-def observe_neighbours(pose: np.ndarray, contact_mm: float, scaling: ObservationScaling) -> np.ndarray:
-    """Return the other vehicles, nearest first, (W, K, (K − 1) · 5): position, closeness, cos and sin of the heading.
-
-    Which vehicle it is does not show. `contact_mm` is the distance of two centres at which they collide.
+    Args:
+        pose: (W, K, 3) of all vehicles.
+        contact_mm: the distance of two centres at which they collide.
+        scaling: how lengths become numbers.
+        nearest: how many are shown, n, whatever K is; None: all others, K − 1.
+        within_mm: who is further away is not shown; None: everybody is.
     """
     worlds, vehicles = pose.shape[:2]
-    distance_mm = between_vehicles_mm(pose)
-    position = rotate(pose[:, None, :, :2] - pose[:, :, None, :2], -pose[:, :, None, 2])
-    heading_rad = pose[:, None, :, 2] - pose[:, :, None, 2]
-    observed = np.concatenate(
-        [
-            _within_range(position, distance_mm, scaling),
-            np.exp(-(distance_mm - contact_mm) / scaling.closeness_mm)[..., None],
-            np.cos(heading_rad)[..., None],
-            np.sin(heading_rad)[..., None],
-        ],
-        axis=-1,
-    )
-    nearest_first = np.argsort(distance_mm, axis=-1, kind="stable")[..., :-1, None]
-    return np.take_along_axis(observed, nearest_first, axis=2).reshape(worlds, vehicles, -1)
+    shown = vehicles - 1 if nearest is None else nearest
+    number, distance_mm = nearest_others(pose, shown, np.inf if within_mm is None else within_mm)
+    is_there = np.isfinite(distance_mm)
+    other = pose[np.arange(worlds)[:, None, None], number]
+    position = rotate(other[..., :2] - pose[:, :, None, :2], -pose[:, :, None, 2])
+    heading_rad = other[..., 2] - pose[:, :, None, 2]
+    seen = [
+        _within_range(position, distance_mm, scaling),
+        np.exp(-(distance_mm - contact_mm) / scaling.closeness_mm)[..., None],
+        np.cos(heading_rad)[..., None],
+        np.sin(heading_rad)[..., None],
+    ]
+    nobody = np.array([-scaling.range_mm / scaling.neighbour_mm, 0.0, 0.0, 0.0, 0.0])
+    observed = np.empty((worlds, vehicles, shown, len(nobody)))
+    observed[:] = nobody
+    others = number.shape[-1]
+    observed[:, :, :others] = np.where(is_there[..., None], np.concatenate(seen, axis=-1), nobody)
+    return observed.reshape(worlds, vehicles, -1)
 
 
 def observe_obstacles(

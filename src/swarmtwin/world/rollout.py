@@ -97,19 +97,20 @@ class Rollout:
 
     @property
     def target(self) -> np.ndarray:
-        """The target sought at each moment, (T + 1, W, 2)."""
+        """The target sought at each moment, (T + 1, W, 2), or (T + 1, W, K, 2) where each vehicle has its own."""
         target: np.ndarray = self.scenario.targets[np.arange(len(self)), self.leg]
         return target
 
     @property
     def target_distance_mm(self) -> np.ndarray:
-        """Each vehicle's distance from the target it seeks, (T + 1, W, K)."""
-        away = self.pose[..., :2] - self.target[:, :, None]
+        """Each vehicle's distance from the target it seeks, (T + 1, W, K); NaN where there is none."""
+        target = self.target
+        away = self.pose[..., :2] - (target[:, :, None] if target.ndim == 3 else target)
         return np.hypot(away[..., 0], away[..., 1])
 
     @property
     def final_distance_mm(self) -> np.ndarray:
-        """How far the farthest vehicle was from the target in the end, (W,)."""
+        """How far the farthest vehicle was from its target in the end, (W,); NaN where there is none."""
         farthest: np.ndarray = self.target_distance_mm[-1].max(axis=1)
         return farthest
 
@@ -211,7 +212,7 @@ class RolloutFigures(NamedTuple):
         left_arena: roll-outs in which a vehicle left the arena.
         reach_time_s: mean time to reach, over the roll-outs that did; NaN where none did.
         reach_time_sd_s: its standard deviation.
-        final_distance_mm: mean distance of the farthest vehicle from the target in the end.
+        final_distance_mm: mean distance of the farthest vehicle from its target in the end; NaN where there is none.
         final_distance_sd_mm: its standard deviation.
     """
 

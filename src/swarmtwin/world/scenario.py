@@ -13,7 +13,8 @@ class Scenario:
 
     Attributes:
         start: (W, K, 3) x_mm, y_mm, heading_rad.
-        targets: (W, G, 2) x_mm, y_mm in the order in which they are to be reached.
+        targets: (W, G, 2) x_mm, y_mm in the order in which they are to be reached; (W, G, K, 2) where each vehicle has
+            its own. NaN where there are none.
         obstacles: (W, O, 3) x_mm, y_mm, radius_mm.
         leg: (W,) index of the target that is sought now; all vehicles of a world seek the same.
     """
@@ -40,9 +41,14 @@ class Scenario:
 
     @property
     def target(self) -> np.ndarray:
-        """The targets sought now, (W, 2)."""
+        """The targets sought now, (W, 2), or (W, K, 2) where each vehicle has its own."""
         target: np.ndarray = self.targets[np.arange(len(self)), self.leg]
         return target
+
+    @property
+    def target_of_each(self) -> np.ndarray:
+        """The target that each vehicle seeks now, (W, K, 2), or (W, 1, 2) where it is the same for all."""
+        return for_each_vehicle(self.target)
 
     @property
     def on_last_leg(self) -> np.ndarray:
@@ -114,6 +120,11 @@ class ScenarioSupply:
         self._before = self._rng.bit_generator.state
         self._drawn = self._draw(self._rng, self._at_a_time)
         self._next = 0
+
+
+def for_each_vehicle(target: np.ndarray) -> np.ndarray:
+    """Return targets of a moment, (W, 2) or (W, K, 2), in a shape that goes with K vehicles: (W, 1, 2) or (W, K, 2)."""
+    return target[:, None] if target.ndim == 2 else target
 
 
 def inner_room(low_mm: np.ndarray, high_mm: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:

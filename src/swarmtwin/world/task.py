@@ -136,9 +136,24 @@ class Task(ABC):
         """How many targets are to be reached, one after the other, G."""
         return 1
 
+    @property
+    def near_enough_mm(self) -> float:
+        """How near to the place that it is shown a vehicle need be."""
+        return float(self.config.reach_mm)
+
     @abstractmethod
     def draw(self, rng: np.random.Generator, worlds: int) -> Scenario:
         """Draw the scenarios of some worlds."""
+
+    def beginning(self, start: np.ndarray, targets: np.ndarray, obstacles: np.ndarray | None = None) -> Scenario:
+        """Return the scenario of vehicles that stand at (W, K, 3) and are given targets, those of `draw` or others.
+
+        Args:
+            start: where the vehicles stand.
+            targets: (W, G, 2), or (W, G, K, 2) where each vehicle has its own.
+            obstacles: (W, O, 3) x_mm, y_mm, radius_mm; None: there are none.
+        """
+        return Scenario.beginning(start, targets, obstacles)
 
     @abstractmethod
     def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
@@ -177,8 +192,8 @@ class Task(ABC):
         )
 
     def target_distance_mm(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
-        """Return how far each vehicle is from the target it seeks, (W, K)."""
-        away = pose[..., :2] - scenario.target[:, None]
+        """Return how far each vehicle is from the target it seeks, (W, K); NaN where there is none."""
+        away = pose[..., :2] - scenario.target_of_each
         return np.hypot(away[..., 0], away[..., 1])
 
     def refusal(self, what: str, remedy: str) -> UserError:

@@ -58,7 +58,7 @@ class PolicyDriver:
         Args:
             policy: decides.
             task: what is asked of the vehicles.
-            targets: (G, 2) to be reached one after the other.
+            targets: (G, 2) to be reached one after the other; (G, V, 2) where each vehicle has its own.
             obstacles: (O, 3) x_mm, y_mm, radius_mm; None: there are none.
         """
         self.task = task
@@ -73,7 +73,7 @@ class PolicyDriver:
 
     def start(self, pose: np.ndarray) -> None:
         """Begin with vehicles at (V, 3)."""
-        self.world.start(Scenario.beginning(pose[None].copy(), self._targets, self._obstacles))
+        self.world.start(self.task.beginning(pose[None].copy(), self._targets, self._obstacles))
         self._begun_in = self.world.scenario
         self._steps, self._poses, self._legs = [], [pose[None].copy()], [self.world.scenario.leg]
 
@@ -118,11 +118,12 @@ class PolicyDriver:
         )
 
     def shown(self) -> Mapping[str, Any]:
-        """Return target, reach, obstacles and the mean reward so far."""
+        """Return the targets sought, reach, obstacles and the mean reward so far."""
         rewards = [float(step.reward.mean()) for step in self._steps]
         last = self._steps[-1].events.at_target[0] if self._steps else np.zeros(self.task.vehicles, bool)
+        targets = self.world.scenario.target_of_each[0]
         return {
-            "target_mm": self.world.scenario.target[0].tolist(),
+            "targets_mm": [target.tolist() for target in targets if np.isfinite(target).all()],
             "reach_mm": float(self.task.config.reach_mm),
             "obstacles": self.world.scenario.obstacles[0].tolist(),
             "reward": float(np.mean(rewards)) if rewards else None,

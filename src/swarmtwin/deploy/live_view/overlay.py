@@ -90,7 +90,7 @@ class Overlay:
         cv2.rectangle(canvas, tuple(map(int, corners[0])), tuple(map(int, corners[1])), FENCE, 2, cv2.LINE_AA)
 
     def _draw_task(self, canvas: np.ndarray, state: Mapping[str, Any]) -> None:
-        if target := state.get("target_mm"):
+        for target in state.get("targets_mm", []):
             centre = tuple(map(int, self._px(np.array(target)).round()))
             radius = round(state.get("reach_mm", 0) * self._scale)
             shade = canvas.copy()

@@ -135,6 +135,14 @@ class Panel:
         radius = round(radius_mm * self.px_per_mm * 2**self.subpixel_bits)
         cv2.circle(self.image, (x, y), radius, rgb(colour, share), width_px, cv2.LINE_AA, self.subpixel_bits)
 
+    def confine(self, before: np.ndarray, edge_px: int = 2) -> None:
+        """Take back what has been drawn beyond the arena's edge since the picture was `before`."""
+        corners = self.at(np.array([self.arena.low_mm, self.arena.high_mm])).round().astype(int)
+        (left, bottom), (right, top) = corners[0] + (edge_px, -edge_px), corners[1] + (-edge_px, edge_px)
+        inside = self.image[top:bottom, left:right].copy()
+        self.image[:] = before
+        self.image[top:bottom, left:right] = inside
+
     def text(self, words: str, place_px: tuple[float, float], size_px: int, colour: str, weight: int = 400) -> int:
         """Write words with their baseline's left end at a place in the picture; return how wide they are, in px."""
         origin = (round(place_px[0]), round(place_px[1]))

@@ -26,7 +26,10 @@ def side_by_side(pictures: Sequence[np.ndarray]) -> np.ndarray:
 def draw(frame: Frame) -> np.ndarray:
     """Draw one world at one moment."""
     panel = _empty_arena(frame.arena).copied()
-    _draw_targets(panel, frame)
+    if frame.marks:
+        _draw_targets(panel, frame)
+    else:
+        _draw_covered_ground(panel, frame)
     for *centre, radius_mm in frame.obstacles:
         panel.circle(np.array(centre), radius_mm, COLOURS.obstacle)
         panel.circle(np.array(centre), radius_mm, COLOURS.ink, 0.55, width_px=1)
@@ -55,14 +58,28 @@ def _empty_arena(arena: Arena) -> Panel:
 
 
 def _draw_targets(panel: Panel, frame: Frame) -> None:
-    """Draw the targets with the ring within which a vehicle is at it; the ones not sought now are pale."""
+    """Draw the targets with the ring within which a vehicle is at it; the ones not sought now are pale.
+
+    A vehicle's own is in its colour.
+    """
     mark_mm = 12 / panel.px_per_mm
-    for index, target in enumerate(frame.targets):
-        strength = 1.0 if index == frame.leg else 0.3
-        panel.circle(target, frame.task.reach_mm, COLOURS.target, 0.10 * strength)
-        panel.circle(target, frame.task.reach_mm, COLOURS.target, 0.65 * strength, width_px=2)
+    for place, leg, vehicle in frame.marks:
+        colour = COLOURS.target if vehicle is None else COLOURS.vehicle(vehicle)
+        strength = 1.0 if leg == frame.leg else 0.3
+        panel.circle(place, frame.task.reach_mm, colour, 0.10 * strength)
+        panel.circle(place, frame.task.reach_mm, colour, 0.65 * strength, width_px=2)
         for direction in np.eye(2):
-            panel.line(target + mark_mm * np.array([-direction, direction]), COLOURS.target, strength, width_px=3)
+            panel.line(place + mark_mm * np.array([-direction, direction]), colour, strength, width_px=3)
+
+
+def _draw_covered_ground(panel: Panel, frame: Frame) -> None:
+    """Draw the ground within reach of a vehicle, with each one's ring in its colour."""
+    before = panel.image.copy()
+    for pose in frame.path[-1]:
+        panel.circle(pose[:2], frame.task.reach_mm, COLOURS.target, 0.10)
+    for vehicle, pose in enumerate(frame.path[-1]):
+        panel.circle(pose[:2], frame.task.reach_mm, COLOURS.vehicle(vehicle), 0.5, width_px=2)
+    panel.confine(before)
 
 
 def _draw_trail(panel: Panel, frame: Frame, vehicle: int, shown_s: float = 30.0) -> None:
@@ -99,7 +116,7 @@ def _draw_heading(panel: Panel, frame: Frame) -> None:
     """Write title, time and distance, and the status in its colour."""
     baseline = panel.header_px - 22
     left = panel.border_px + panel.text(frame.title, (panel.border_px, baseline), 24, COLOURS.ink, 700) + 18
-    facts = f"{frame.time_s:.1f} s   farthest {frame.farthest_mm:.0f} mm"
+    facts = f"{frame.time_s:.1f} s" + (f"   farthest {frame.farthest_mm:.0f} mm" if frame.marks else "")
     panel.text(facts, (left, baseline), 19, COLOURS.faint)
     word = frame.status.value
     width = text_width_px(word, 19, 600)

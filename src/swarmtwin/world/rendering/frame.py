@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +40,7 @@ class Frame:
         arena: where they drive.
         task: what they are asked to do.
         path: (n, K, 3) poses from the start until now, a period apart but for the last.
-        targets: (G, 2) x_mm, y_mm.
+        targets: (G, 2) x_mm, y_mm; (G, K, 2) where each vehicle has its own; NaN where there are none.
         leg: index of the target that is sought.
         obstacles: (O, 3) x_mm, y_mm, radius_mm.
         time_s: since the start.
@@ -61,9 +62,33 @@ class Frame:
 
     @property
     def farthest_mm(self) -> float:
-        """How far the farthest vehicle is from the target that is sought."""
+        """How far the farthest vehicle is from the target that it seeks; NaN where there is none."""
         away = self.path[-1, :, :2] - self.targets[self.leg]
         return float(np.hypot(away[:, 0], away[:, 1]).max())
+
+    @property
+    def marks(self) -> list["Mark"]:
+        """What is to be drawn of the targets."""
+        marks = []
+        for leg, target in enumerate(self.targets):
+            for vehicle, place in enumerate(np.atleast_2d(target)):
+                if np.isfinite(place).all():
+                    marks.append(Mark(place, leg, vehicle if target.ndim == 2 else None))
+        return marks
+
+
+class Mark(NamedTuple):
+    """A target in a picture.
+
+    Attributes:
+        place: (2,) x_mm, y_mm.
+        leg: when it is sought.
+        vehicle: whose it is; None: everybody's.
+    """
+
+    place: np.ndarray
+    leg: int
+    vehicle: int | None
 
 
 def frame_of(rollout: Rollout, world: int, periods: float, title: str) -> Frame:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyBboxPatch, Rectangle
+from matplotlib.patches import Circle, FancyBboxPatch, Patch, Rectangle
 from matplotlib.transforms import Affine2D
 
 from swarmtwin.plotting import style
@@ -71,19 +71,31 @@ def _moments(frame: Frame, count: int) -> np.ndarray:
 def _draw_surroundings(panel: Axes, frame: Frame) -> None:
     arena = frame.arena
     size = arena.high_mm - arena.low_mm
-    panel.add_patch(Rectangle(tuple(arena.low_mm), *size, facecolor=COLOURS.ground, edgecolor=COLOURS.faint))
-    colour, reach_mm = COLOURS.target, frame.task.reach_mm
-    for index, target in enumerate(frame.targets):
-        strength = 1.0 if index == frame.leg else 0.5
-        panel.add_patch(Circle(tuple(target), reach_mm, facecolor=colour, alpha=0.10 * strength, linewidth=0))
-        panel.add_patch(Circle(tuple(target), reach_mm, fill=False, edgecolor=colour, alpha=0.6 * strength))
-        panel.plot(*target, "+", color=colour, markersize=9, markeredgewidth=2, alpha=strength)
+    ground = Rectangle(tuple(arena.low_mm), *size, facecolor=COLOURS.ground, edgecolor=COLOURS.faint)
+    panel.add_patch(ground)
+    for place, leg, vehicle in frame.marks:
+        colour = COLOURS.target if vehicle is None else COLOURS.vehicle(vehicle)
+        strength = 1.0 if leg == frame.leg else 0.5
+        _draw_reach(panel, frame, place, colour, strength)
+        panel.plot(*place, "+", color=colour, markersize=9, markeredgewidth=2, alpha=strength)
         if len(frame.targets) > 1:
-            panel.annotate(str(index + 1), tuple(target), (5, 5), textcoords="offset points", color=colour)
+            panel.annotate(str(leg + 1), tuple(place), (5, 5), textcoords="offset points", color=colour)
+    if not frame.marks:
+        for vehicle, pose in enumerate(frame.path[-1]):
+            for patch in _draw_reach(panel, frame, pose[:2], COLOURS.vehicle(vehicle), 1.0):
+                patch.set_clip_path(ground)
     for x_mm, y_mm, radius_mm in frame.obstacles:
         panel.add_patch(Circle((x_mm, y_mm), radius_mm, facecolor=COLOURS.obstacle, edgecolor=COLOURS.ink))
     panel.set(xlim=(arena.x[0] - 0.03 * size[0], arena.x[1] + 0.03 * size[0]))
     panel.set(ylim=(arena.y[0] - 0.03 * size[1], arena.y[1] + 0.03 * size[1]))
+
+
+def _draw_reach(panel: Axes, frame: Frame, place: np.ndarray, colour: str, strength: float) -> list[Patch]:
+    """Draw the ring within which a vehicle is at a target, or within which it covers the ground; return its parts."""
+    reach_mm = frame.task.reach_mm
+    shade = Circle(tuple(place), reach_mm, facecolor=colour, alpha=0.10 * strength, linewidth=0)
+    ring = Circle(tuple(place), reach_mm, fill=False, edgecolor=colour, alpha=0.6 * strength)
+    return [panel.add_patch(shade), panel.add_patch(ring)]
 
 
 def _draw_vehicle(panel: Axes, frame: Frame, pose: np.ndarray, vehicle: int, strength: float) -> None:

@@ -1,0 +1,104 @@
+"""What all tasks of a group have in common: vehicles that start apart, see each other and must not touch."""
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from swarmtwin.robot import Arena, Positive, Robot
+from swarmtwin.world import observations
+from swarmtwin.world.neighbours import others_nearer_than
+from swarmtwin.world.scenario import Scenario, draw_apart, room_for
+from swarmtwin.world.task import NotNegative, Task, TaskConfig
+
+
+class Group(Task):
+    """K vehicles that share one policy; each sees the others, or the nearest of them, and perhaps the walls."""
+
+    ends_early = False
+
+    def __init__(self, robot: Robot, config: "GroupConfig", arena: Arena | None = None) -> None:
+        super().__init__(robot, config, arena)
+        self.config: GroupConfig = config
+        shown = config.vehicles - 1 if config.sees_nearest is None else config.sees_nearest
+        names = observations.target_names() + observations.neighbour_names(shown)
+        self.observation_names = names + (observations.wall_names() if config.sees_walls else ())
+        self._check_distances()
+
+    def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Two vehicles collide when their centres are nearer than `collision_mm` (the authors' code: 100 mm)."""
+        return others_nearer_than(pose, self.config.collision_mm) > 0
+
+    def near_others(self, pose: np.ndarray) -> np.ndarray:
+        """Return how many others are nearer than `neighbour_near_mm` to each vehicle, (W, K)."""
+        return others_nearer_than(pose, self.config.neighbour_near_mm)
+
+    def draw_starts(self, rng: np.random.Generator, taken: np.ndarray) -> np.ndarray:
+        """Draw starts (W, K, 3) apart from each other and beside circles (W, n, 3), with any heading."""
+        position = draw_apart(rng, self.vehicles, self.start_room_mm, self.config.separation_mm, taken)
+        heading_rad = rng.uniform(-np.pi, np.pi, (len(taken), self.vehicles, 1))
+        return np.concatenate([position, heading_rad], axis=-1)
+
+    def observe_with_others(self, place: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Show a place (W, K, 2), or (W, 1, 2), the others, nearest first, and the walls where they count."""
+        config = self.config
+        scaling = config.observation
+        parts = [
+            observations.observe_place(place, pose, scaling),
+            observations.observe_neighbours(
+                pose, config.collision_mm, scaling, config.sees_nearest, config.sees_within_mm
+            ),
+        ]
+        if config.sees_walls:
+            parts.append(observations.observe_walls(pose, self.arena, scaling))
+        return np.concatenate(parts, axis=-1, dtype=np.float32, casting="same_kind")
+
+    def check_room(self, taken: np.ndarray) -> None:
+        """Check that the starts can be drawn beside circles (n, 3).
+
+        Raises:
+            UserError: they cannot.
+        """
+        fitting = room_for(self.vehicles, self.start_room_mm, self.config.separation_mm, taken)
+        if fitting < self.vehicles:
+            raise self.refusal(
+                f"{self.vehicles} vehicles do not fit into the arena of {self.robot.name!r} with "
+                f"{self.config.separation_mm:g} mm between them: about {fitting} do",
+                "lower vehicles, separation_mm or margin_mm",
+            )
+
+    def _check_distances(self) -> None:
+        width_mm = min(self.robot.vehicle_size_mm)
+        if self.config.collision_mm < width_mm:
+            raise self.refusal(
+                f"collision_mm {self.config.collision_mm:g} is less than the width of {self.robot.name!r}, "
+                f"{width_mm:g} mm: vehicles would pass through each other",
+                "raise collision_mm, or choose another task for this robot",
+            )
+        if self.config.separation_mm < self.config.collision_mm:
+            raise self.refusal(
+                f"separation_mm {self.config.separation_mm:g} is less than collision_mm "
+                f"{self.config.collision_mm:g}: vehicles would start in a collision",
+                "raise separation_mm",
+            )
+
+
+class GroupConfig(TaskConfig):
+    """What the configurations of all tasks of a group have in common.
+
+    Attributes:
+        neighbour_near_mm: nearer to another vehicle costs.
+        collision_mm: two centres nearer than this are a collision.
+        separation_mm: starts are at least this far apart.
+        sees_walls: whether vehicles see the arena's border.
+        sees_nearest: how many others a vehicle sees, the nearest ones, however many there are: so one policy drives any
+            number of vehicles. None: all.
+        sees_within_mm: who is further away than this is not seen; None: everybody is.
+    """
+
+    neighbour_near_mm: NotNegative
+    collision_mm: Positive
+    separation_mm: Positive
+    sees_walls: bool
+    sees_nearest: Annotated[int, Field(ge=0)] | None = None
+    sees_within_mm: Positive | None = None
