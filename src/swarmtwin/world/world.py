@@ -7,7 +7,7 @@ import numpy as np
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
-from swarmtwin.world.motion import Motion
+from swarmtwin.world.motion import Motion, RandomMotion
 from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Events, Task
 
@@ -91,8 +91,10 @@ class World:
         return self.worlds, self.task.vehicles, len(self.robot.command)
 
     def reseed(self, seed: int) -> None:
-        """Draw all scenarios from now on with another seed."""
+        """Draw all scenarios from now on with another seed, and the motion's chances where it has any."""
         self._rng = np.random.default_rng(seed)
+        if isinstance(self.motion, RandomMotion):
+            self.motion.reseed(seed)
 
     def reset(self) -> np.ndarray:
         """Start every world in a new scenario; return the observation (W, K, o)."""
