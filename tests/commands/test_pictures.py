@@ -74,7 +74,7 @@ def test_so_are_rollouts_with_their_films(swarmtwin, workshop, robots):
     options = ("count=12", "speed=16")
     assert swarmtwin("rollout", "policy=policies/quick", *options, "show=worst", "output=rolled").status == 0
     first, again = redrawn(swarmtwin, workshop, "rolled")
-    assert set(first) == {"rollouts.png", "rollout.mp4"}
+    assert set(first) == {"rollouts.html", "rollouts.png", "rollout.mp4"}
     assert first == again
     assert swarmtwin("experiment", "name=transfer", "policies=policies", *options, "output=transfer").status == 0
     first, again = redrawn(swarmtwin, workshop, "transfer")

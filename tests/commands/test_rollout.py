@@ -12,7 +12,7 @@ from swarmtwin.tracking.registry import folder_digest
 from swarmtwin.world.rollout import chosen_world
 from tiny_policies import save_seeker, simulation
 
-ROLLOUT = ("rollout", "policy=seeker", "count=12", "video=false")
+ROLLOUT = ("rollout", "policy=seeker", "count=12", "video=false", "viewer=false")
 
 
 @pytest.fixture
@@ -24,10 +24,10 @@ def seeker(workshop, robots):
 
 @pytest.mark.usefixtures("seeker")
 def test_both_worlds_start_alike_and_are_told_side_by_side(swarmtwin, workshop):
-    answer = swarmtwin(*ROLLOUT, "video=true", "speed=16", "output=out")
+    answer = swarmtwin(*ROLLOUT, "video=true", "viewer=true", "speed=16", "output=out")
     assert answer.status == 0, answer.error
     files = sorted(path.name for path in (workshop / "out").iterdir())
-    drawn = ["rollout.mp4", "rollouts.png"]
+    drawn = ["rollout.mp4", "rollouts.html", "rollouts.png"]
     assert files == sorted(["metrics.json", "provenance.json", "rollouts.npz", "rollouts.parquet", *drawn])
     metrics = json.loads((workshop / "out" / "metrics.json").read_text())
     assert metrics["simulation"]["rollouts"] == metrics["stand_in"]["rollouts"] == 12
@@ -40,6 +40,8 @@ def test_both_worlds_start_alike_and_are_told_side_by_side(swarmtwin, workshop):
         assert own[["left", "right"]].abs().max(axis=None) <= 120
     with av.open(str(workshop / "out" / "rollout.mp4")) as film:
         assert film.streams.video[0].frames > 50
+    page = (workshop / "out" / "rollouts.html").read_text()
+    assert "All 12 roll-outs, from the worst to the best on stand-ins, each from the same start" in page
     assert "reward on stand-ins against simulation:" in answer.shown
 
 

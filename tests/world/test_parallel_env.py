@@ -2,7 +2,8 @@ import warnings
 
 import numpy as np
 import pytest
-from pettingzoo.test import parallel_api_test, parallel_seed_test
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test
+from pettingzoo.utils import parallel_to_aec
 from tiny_worlds import TASKS, one_world, robot_named, simulation_of, task_named
 
 from swarmtwin.errors import UserError
@@ -64,6 +65,18 @@ def test_it_is_rendered_where_that_is_asked_for():
     assert env_of("collective").render() is None
 
 
+def test_it_keeps_pettingzoos_contract_in_turns_and_in_pictures():
+    """PettingZoo's test of pictures asks for a window first, for which there is no mode."""
+
+    def in_turns(render_mode=None):
+        return parallel_to_aec(env_of("pair", render_mode=None if render_mode == "human" else render_mode))
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Agent's m.*imum observation space value is")
+        api_test(in_turns(), num_cycles=50)
+    render_test(in_turns)
+
+
 def test_misuse_is_named():
     with pytest.raises(UserError, match="no such render mode: 'rgb_aray': did you mean 'rgb_array'"):
         env_of("collective", render_mode="rgb_aray")
@@ -74,3 +87,10 @@ def test_misuse_is_named():
     env = env_of("pair")
     with pytest.raises(ValueError, match="no action for vehicle_1"):
         env.step({"vehicle_0": np.zeros(3)})
+    idle = {"vehicle_0": np.zeros(3), "vehicle_1": np.zeros(3)}
+    with pytest.raises(
+        UserError, match=r"vehicle_1: shape \(2,\): give \(3,\), the columns of 'mur' being mean_angle_deg"
+    ):
+        env.step({**idle, "vehicle_1": np.zeros(2)})
+    with pytest.raises(UserError, match=r"world 0, vehicle 1, step 0: the command .* is not finite: 0, nan, 3"):
+        env.step({**idle, "vehicle_1": np.array([0.0, np.nan, 3.0])})

@@ -39,13 +39,14 @@ class Options(StrictModel):
     device: Device
     show: Show
     video: bool
+    viewer: bool
     speed: Positive
     output: Path
     overwrite: bool
 
 
 def run(options: Options) -> dict[str, Any]:
-    """Roll out, save figures, every step, pictures and the film, track the run and show a table; return them.
+    """Roll out, save figures, every step, pictures, film and viewer, track the run and show a table; return them.
 
     Raises:
         UserError: no such policy, task or simulation, they do not fit each other or the vehicles, too few roll-outs,
@@ -82,7 +83,7 @@ def run(options: Options) -> dict[str, Any]:
         tracked.tag("policy.digest", given[0].digest if given else SCRIPTED)
         tracked.folder(folder, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
-    Console().print(f"figures, pictures and film: {options.output}", highlight=False, soft_wrap=True)
+    Console().print(f"figures, pictures, film and viewer: {options.output}", highlight=False, soft_wrap=True)
     return {**figures, "output": str(options.output)}
 
 

@@ -1,4 +1,4 @@
-"""Pictures and films of a policy's roll-outs, from the files that they were saved in."""
+"""Pictures, films and the viewer of a policy's roll-outs, from the files that they were saved in."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,12 +8,15 @@ from swarmtwin.policies.rollout_comparison import MOTION_NAMES
 from swarmtwin.policies.rollout_folder import ROLLOUTS
 from swarmtwin.world.rendering.paths import paths_figure
 from swarmtwin.world.rendering.video import pictures, write_video
+from swarmtwin.world.rendering.viewer import write_viewer
 from swarmtwin.world.rollout import Rollout, Show, chosen_world
 from swarmtwin.world.rollout_storage import load_rollouts
 
 
 def draw_rollout(made: Path, output: Path) -> None:
-    """Draw into `output` what `swarmtwin rollout` left in `made`, with a film if it was asked for one.
+    """Draw into `output` what `swarmtwin rollout` left in `made`, with a film and a viewer where they were asked for.
+
+    A folder of a version that had no viewer gets none.
 
     Raises:
         UserError: `made` is not a folder of swarmtwin's, or its roll-outs cannot be read.
@@ -23,6 +26,9 @@ def draw_rollout(made: Path, output: Path) -> None:
     draw_paths(output / "rollouts.png", rollouts, options["show"])
     if options["video"]:
         draw_film(output / "rollout.mp4", rollouts, options["show"], options["speed"])
+    if options.get("viewer", False):
+        titled = {MOTION_NAMES[motion]: rollout for motion, rollout in rollouts.items()}
+        write_viewer(output / "rollouts.html", titled, options["speed"])
 
 
 def draw_paths(file: Path, rollouts: Mapping[str, Rollout], show: Show) -> None:

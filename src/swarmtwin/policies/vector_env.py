@@ -11,6 +11,7 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from swarmtwin.world.vector_env import SwarmVectorEnv
 from swarmtwin.world.world import World
 
 
@@ -32,9 +33,11 @@ class SharedPolicyEnv(VecEnv):
     def __init__(self, world: World, reward_scale: float) -> None:
         self.world = world
         self.reward_scale = reward_scale
-        worlds, vehicles, columns = world.shape
-        seen = Box(-np.inf, np.inf, (world.task.observation_size,), np.float32)
-        super().__init__(worlds * vehicles, seen, Box(-1.0, 1.0, (columns,), np.float32))
+        self._vehicles = SwarmVectorEnv(world)
+        columns = len(world.robot.command)
+        super().__init__(
+            self._vehicles.num_envs, self._vehicles.single_observation_space, Box(-1.0, 1.0, (columns,), np.float32)
+        )
         self._low, self._high = world.robot.command_low, world.robot.command_high
         self._action = np.zeros((self.num_envs, columns))
 
@@ -45,7 +48,7 @@ class SharedPolicyEnv(VecEnv):
 
     def reset(self) -> np.ndarray:
         """Return what the vehicles observe now, (W · K, o); `begin` is what starts the worlds."""
-        return self._flat(self.world.observe())
+        return self.world.observe().reshape(self.num_envs, -1)
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the vehicles' actions (W · K, m).
@@ -61,19 +64,15 @@ class SharedPolicyEnv(VecEnv):
         """Let one control period pass; worlds that ended start anew, their last observation stands in the infos."""
         share = 0.5 * (self._action.astype(float) + 1.0)
         command = self._low + (self._high - self._low) * share  # the world cuts what is beyond the limits
-        step = self.world.step(command.reshape(self.world.shape))
-        last = self._flat(step.observation[step.ended])
-        vehicles = self.world.task.vehicles
+        observation, reward, terminated, truncated, told = self._vehicles.step(command)
+        ended = terminated | truncated
         infos: list[dict[str, Any]] = [{}] * self.num_envs
-        for rank, world in enumerate(np.flatnonzero(step.ended)):
-            for vehicle in range(vehicles):
-                infos[world * vehicles + vehicle] = {
-                    "terminal_observation": last[rank * vehicles + vehicle],
-                    "TimeLimit.truncated": bool(step.truncated[world]),
-                }
-        observation = self._flat(self.world.restart(step.ended, step.observation))
-        reward = (step.reward / self.reward_scale).reshape(-1).astype(np.float32)
-        return observation, reward, np.repeat(step.ended, vehicles), infos
+        for row in np.flatnonzero(ended):
+            infos[row] = {
+                "terminal_observation": told["final_obs"][row],
+                "TimeLimit.truncated": bool(truncated[row]),
+            }
+        return observation, (reward / self.reward_scale).astype(np.float32), ended, infos
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -99,6 +98,3 @@ class SharedPolicyEnv(VecEnv):
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Leave the world as it is: its own seed decides."""
         return [None] * self.num_envs
-
-    def _flat(self, observation: np.ndarray) -> np.ndarray:
-        return observation.reshape(-1, observation.shape[-1])

@@ -1,6 +1,6 @@
 """What moves the vehicles of a world: a simulation here, stand-ins or the robots themselves elsewhere."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -29,6 +29,14 @@ class Motion(Protocol):
         Returns:
             (W, K, 3) the measured poses at its end.
         """
+
+
+@runtime_checkable
+class RandomMotion(Protocol):
+    """A motion some of which is drawn."""
+
+    def reseed(self, seed: int) -> None:
+        """Draw everything from now on with another seed."""
 
 
 class SimulatedMotion(Motion):
@@ -66,7 +74,17 @@ class SimulatedMotion(Motion):
         self._state = simulation.start(torch.zeros(worlds, vehicles, 3))
 
     def place(self, worlds: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Put vehicles down: their commands before are unknown and their session begins anew."""
+        """Put vehicles down: their commands before are unknown and their session begins anew.
+
+        Raises:
+            UserError: there are fewer worlds, or another number of vehicles in each.
+        """
+        own_worlds, own_vehicles = self._state.pose.shape[:2]
+        if pose.shape[1] != own_vehicles or np.max(worlds, initial=0) >= own_worlds:
+            raise UserError(
+                f"this motion is of {own_worlds} × {own_vehicles} vehicles (worlds × vehicles in each), asked for are "
+                f"{np.max(worlds, initial=0) + 1} × {pose.shape[1]}: make it with as many"
+            )
         placed = self.simulation.start(torch.as_tensor(pose), rng=self._drawn_from)
         self._state = self._state.with_worlds(torch.as_tensor(worlds), placed)
         measured: np.ndarray = self.simulation.observe(placed, self._drawn_from).numpy()
@@ -76,12 +94,21 @@ class SimulatedMotion(Motion):
         """Step all vehicles at once.
 
         Raises:
-            UserError: the simulation predicts something that is not finite.
+            UserError: the simulation predicts something that is not finite, or there are more worlds than commands.
         """
+        if command.shape[:2] != self._state.pose.shape[:2]:
+            raise UserError(
+                f"this motion is of {len(self._state.pose)} worlds, commands are for {len(command)}: make it with as "
+                "many"
+            )
         with torch.inference_mode():
             self._state = self.simulation.step(self._state, torch.as_tensor(command), rng=self._drawn_from)
             measured: np.ndarray = self.simulation.observe(self._state, self._drawn_from).numpy()
         return measured.copy()
+
+    def reseed(self, seed: int) -> None:
+        """Draw everything from now on with another seed."""
+        self._rng.manual_seed(seed)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the next motion depends on, for a checkpoint."""

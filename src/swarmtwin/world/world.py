@@ -7,7 +7,7 @@ import numpy as np
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 from swarmtwin.world.compiled import compiled_measure
-from swarmtwin.world.motion import Motion
+from swarmtwin.world.motion import Motion, RandomMotion
 from swarmtwin.world.scenario import Scenario, ScenarioSupply
 from swarmtwin.world.task import Events, Task
 
@@ -103,8 +103,10 @@ class World:
         return self.worlds, self.task.vehicles, len(self.robot.command)
 
     def reseed(self, seed: int) -> None:
-        """Draw all scenarios from now on with another seed."""
+        """Draw all scenarios from now on with another seed, and the motion's chances where it has any."""
         self._supply.reseed(seed)
+        if isinstance(self.motion, RandomMotion):
+            self.motion.reseed(seed)
 
     def reset(self) -> np.ndarray:
         """Start every world in a new scenario; return the observation (W, K, o)."""

@@ -1,0 +1,97 @@
+"""What all interfaces to a world share: how it is opened, its spaces, the actions taken, what is told of a step."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from swarmtwin.configuration import config_files
+from swarmtwin.errors import UserError, near_miss
+from swarmtwin.plain_yaml import read_yaml
+from swarmtwin.robot import Arena, Robot
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.simulation.simulation_folder import load_simulation
+from swarmtwin.world.motion import Motion, SimulatedMotion
+from swarmtwin.world.task import Task, task_config
+from swarmtwin.world.world import Step, World
+
+Moved = Motion | Simulation | Path | str
+"""What moves the vehicles: a motion, a simulation, or the folder of one, as train or a diagnosis leaves it."""
+
+
+def open_world(task: Task | str, moved: Moved, worlds: int = 1, seed: int = 0) -> World:
+    """Return the worlds of a task.
+
+    Args:
+        task: what the vehicles are asked to do, or the name of a file in `conf/task/`.
+        moved: what moves them; a motion is of `worlds` and of the task's vehicles.
+        worlds: how many there are side by side, W.
+        seed: of the scenarios, and of what a simulation draws.
+
+    Raises:
+        UserError: there is no such task or model, or the motion is of another robot, or of other worlds or vehicles.
+    """
+    if worlds < 1:
+        raise UserError(f"{worlds} worlds: ask for 1 or more")
+    if isinstance(moved, Path | str):
+        moved = load_simulation(Path(moved))
+    if not isinstance(moved, Simulation):
+        return World(_built(task, moved.robot), moved, worlds, seed)
+    built = _built(task, moved.robot, moved.conditions.arena_mm)
+    return World(built, SimulatedMotion(moved, worlds, built.vehicles, seed=seed), worlds, seed)
+
+
+def _built(task: Task | str, robot: Robot, arena: Arena | None = None) -> Task:
+    if isinstance(task, Task):
+        return task
+    known = config_files("task")
+    if task not in known:
+        raise UserError(f"no such task: {task!r}: {near_miss(task, known)}")
+    return task_config(read_yaml(known[task]), str(known[task])).build(robot, arena)
+
+
+def observation_space(task: Task) -> Box:
+    """Return the space of one vehicle's observations, (o,)."""
+    return Box(-np.inf, np.inf, (task.observation_size,), np.float32)
+
+
+def command_space(robot: Robot) -> Box:
+    """Return the space of one vehicle's commands, (m,): within the robot's limits, in its units."""
+    return Box(robot.command_low.astype(np.float32), robot.command_high.astype(np.float32), dtype=np.float32)
+
+
+def commands_of(actions: Any, shape: tuple[int, ...], robot: Robot, whose: str = "actions") -> np.ndarray:
+    """Return actions as commands of a shape, whose last axis is the columns of the robot's command.
+
+    Raises:
+        UserError: they are no numbers, or of another shape; it names `whose` they are.
+    """
+    columns = ", ".join(robot.command_columns)
+    try:
+        commands = np.asarray(actions, dtype=float)
+    except (TypeError, ValueError):
+        raise UserError(f"{whose}: no array of numbers: give one of shape {shape}, its columns {columns}") from None
+    if commands.shape != shape:
+        raise UserError(f"{whose}: shape {commands.shape}: give {shape}, the columns of {robot.name!r} being {columns}")
+    return commands
+
+
+def vehicle_info(step: Step, vehicle: int) -> dict[str, Any]:
+    """Return what one period brought a vehicle of the first world, and whether its group has `reached` all targets."""
+    return {
+        "collided": bool(step.events.collided[0, vehicle]),
+        "left_arena": bool(step.events.left_arena[0, vehicle]),
+        "at_target": bool(step.events.at_target[0, vehicle]),
+        "reached": bool(step.reached[0]),
+    }
+
+
+def check_render_mode(render_mode: str | None, render_modes: list[str]) -> None:
+    """Check that a render mode is None, for no pictures, or one of those that there are.
+
+    Raises:
+        UserError: it is not.
+    """
+    if render_mode is not None and render_mode not in render_modes:
+        raise UserError(f"no such render mode: {render_mode!r}: {near_miss(render_mode, render_modes)}")
