@@ -7,9 +7,9 @@ from tiny_worlds import dynamics_of, robot_named, task_named
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between, log_map
+from swarmtwin.robot import Arena
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.world.compiled import compiled_measure
 from swarmtwin.world.compiled.table_motion import TableMotion
 from swarmtwin.world.motion import SimulatedMotion, fastest_motion
 from swarmtwin.world.scenario import ScenarioSupply
@@ -38,37 +38,68 @@ def crowded(task, worlds, seed):
         ],
         -1,
     )
-    near = random.random(worlds) < 0.5
-    pose[near, :, :2] = scenario.target[near, None] + random.normal(0, 60, (near.sum(), task.vehicles, 2))
+    near, places = random.random(worlds) < 0.5, np.nan_to_num(scenario.target_of_each, nan=400.0)
+    pose[near, :, :2] = places[near] + random.normal(0, 60, (near.sum(), task.vehicles, 2))
     pose[0, :, :2] = [(400.0 + 60 * place, 500.0) for place in range(task.vehicles)]  # as near on both sides
     pose[1, 0, :2] = low - 2000
-    pose[2, :, :2] = scenario.target[2]
+    pose[2, 0, :2] = places[2, 0]
     return scenario, pose
 
 
-@pytest.mark.parametrize("changes", [{}, {"sees_walls": True}, {"vehicles": 2, "outside_mm": 30}, {"vehicles": 7}])
-@pytest.mark.parametrize("name", ["collective", "pair"])
+LOCAL = {"sees_nearest": 3, "sees_within_mm": 250.0}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"sees_walls": True},
+        {"vehicles": 2, "outside_mm": 30},
+        {"vehicles": 7, "sees_nearest": 2},
+        LOCAL,
+        {"vehicles": 3, "sees_nearest": 5},
+        {"sees_nearest": 0, "sees_walls": True},
+    ],
+)
+@pytest.mark.parametrize("name", ["collective", "pair", "formation", "coverage"])
 def test_what_a_group_measures_is_what_the_formulas_say(name, changes):
+    if name in ("coverage", "formation") and changes.get("vehicles"):  # fit as many as they are
+        changes = {name: value for name, value in changes.items() if name != "vehicles"}
     task = task_named(name, **changes)
-    measure = compiled_measure(task)
-    assert measure != task.measure
     for worlds, seed in ((3, 0), (64, 1), (150, 2)):
         scenario, pose = crowded(task, worlds, seed)
-        plain, fast = task.measure(scenario, pose), measure(scenario, pose)
-        assert fast.observation.dtype == np.float32
-        assert fast.observation == pytest.approx(plain.observation, abs=2e-5)
-        assert fast.reward == pytest.approx(plain.reward, abs=1e-4)
-        for event in ("collided", "left_arena", "at_target"):
-            assert np.array_equal(getattr(fast.events, event), getattr(plain.events, event))
-        assert np.array_equal(fast.lost, plain.lost)
-    assert plain.events.collided.any()
-    assert plain.events.at_target.any()
+        check_equal(task.measure(scenario, pose), task.measure_compiled(scenario, pose))
+
+
+@pytest.mark.parametrize("changes", [{}, LOCAL, {"sees_nearest": 4, "sees_walls": True}, {"sees_nearest": 0}])
+@pytest.mark.parametrize("vehicles", [21, 60])
+def test_a_large_group_measures_by_a_grid_what_the_formulas_say(vehicles, changes):
+    crowd = {"separation_mm": 101, "reach_mm": 600, "margin_mm": 0, "vehicles": vehicles, **changes}
+    task = task_named("collective", arena=Arena(x=(0, 2000), y=(-300, 1500)), **crowd)
+    scenario, pose = crowded(task, 20, 3)
+    pose[0, :, 1] += np.random.default_rng(0).normal(
+        0, 5, vehicles
+    )  # no ties: a search tree takes any
+    check_equal(task.measure(scenario, pose), task.measure_compiled(scenario, pose))
+
+
+def check_equal(plain, fast):
+    assert fast.observation.dtype == np.float32
+    assert fast.observation == pytest.approx(plain.observation, abs=2e-5)
+    assert fast.reward == pytest.approx(plain.reward, abs=1e-4)
+    for event in ("collided", "left_arena", "at_target"):
+        assert np.array_equal(getattr(fast.events, event), getattr(plain.events, event))
+    assert np.array_equal(fast.lost, plain.lost)
     assert plain.lost.any()
+    assert plain.events.collided.any()
+    assert not plain.events.collided.all()
 
 
-@pytest.mark.parametrize("task", [task_named("obstacle"), task_named("collective", vehicles=30, separation_mm=101)])
-def test_a_task_without_compiled_code_is_measured_by_its_formulas(task):
-    assert compiled_measure(task) == task.measure
+def test_a_task_without_compiled_code_is_measured_by_its_formulas():
+    task = task_named("obstacle")
+    scenario = task.draw(np.random.default_rng(0), 5)
+    plain, same = (measure(scenario, scenario.start) for measure in (task.measure, task.measure_compiled))
+    assert np.array_equal(plain.observation, same.observation)
 
 
 def test_a_table_moves_vehicles_as_the_simulation_does():

@@ -1,5 +1,6 @@
 """What all tasks of a group have in common: vehicles that start apart, see each other and must not touch."""
 
+from abc import abstractmethod
 from typing import Annotated
 
 import numpy as np
@@ -9,7 +10,7 @@ from swarmtwin.robot import Arena, Positive, Robot
 from swarmtwin.world import observations
 from swarmtwin.world.neighbours import others_nearer_than
 from swarmtwin.world.scenario import Scenario, draw_apart, room_for
-from swarmtwin.world.task import NotNegative, Task, TaskConfig
+from swarmtwin.world.task import Measured, NotNegative, Task, TaskConfig
 
 
 class Group(Task):
@@ -20,10 +21,47 @@ class Group(Task):
     def __init__(self, robot: Robot, config: "GroupConfig", arena: Arena | None = None) -> None:
         super().__init__(robot, config, arena)
         self.config: GroupConfig = config
-        shown = config.vehicles - 1 if config.sees_nearest is None else config.sees_nearest
-        names = observations.target_names() + observations.neighbour_names(shown)
+        names = observations.target_names() + observations.neighbour_names(self.shown_others)
         self.observation_names = names + (observations.wall_names() if config.sees_walls else ())
         self._check_distances()
+
+    @property
+    def shown_others(self) -> int:
+        """How many others a vehicle is shown."""
+        nearest: int | None = self.config.sees_nearest
+        return self.vehicles - 1 if nearest is None else nearest
+
+    def shown_place(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Return the place that each vehicle is shown, (W, K, 2), or (W, 1, 2) where it is the same for all."""
+        return scenario.target_of_each
+
+    @abstractmethod
+    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
+        """Return what each vehicle earns, (W, K), with so many others near it, (W, K)."""
+
+    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Return what each vehicle earns for being where it is among the others, (W, K)."""
+        return self.reward_among(scenario, pose, self.near_others(pose))
+
+    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Show each vehicle its place, the others, nearest first, and the walls where they count."""
+        config = self.config
+        scaling = config.observation
+        parts = [
+            observations.observe_place(self.shown_place(scenario, pose), pose, scaling),
+            observations.observe_neighbours(
+                pose, config.collision_mm, scaling, config.sees_nearest, config.sees_within_mm
+            ),
+        ]
+        if config.sees_walls:
+            parts.append(observations.observe_walls(pose, self.arena, scaling))
+        return np.concatenate(parts, axis=-1, dtype=np.float32, casting="same_kind")
+
+    def measure_compiled(self, scenario: Scenario, pose: np.ndarray) -> Measured:
+        """Return the same as `measure`, by compiled code."""
+        from swarmtwin.world.compiled import group  # numba takes a second to load
+
+        return group.measure(self, scenario, pose)
 
     def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Two vehicles collide when their centres are nearer than `collision_mm` (the authors' code: 100 mm)."""
@@ -38,20 +76,6 @@ class Group(Task):
         position = draw_apart(rng, self.vehicles, self.start_room_mm, self.config.separation_mm, taken)
         heading_rad = rng.uniform(-np.pi, np.pi, (len(taken), self.vehicles, 1))
         return np.concatenate([position, heading_rad], axis=-1)
-
-    def observe_with_others(self, place: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        """Show a place (W, K, 2), or (W, 1, 2), the others, nearest first, and the walls where they count."""
-        config = self.config
-        scaling = config.observation
-        parts = [
-            observations.observe_place(place, pose, scaling),
-            observations.observe_neighbours(
-                pose, config.collision_mm, scaling, config.sees_nearest, config.sees_within_mm
-            ),
-        ]
-        if config.sees_walls:
-            parts.append(observations.observe_walls(pose, self.arena, scaling))
-        return np.concatenate(parts, axis=-1, dtype=np.float32, casting="same_kind")
 
     def check_room(self, taken: np.ndarray) -> None:
         """Check that the starts can be drawn beside circles (n, 3).

@@ -6,7 +6,6 @@ import numpy as np
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
-from swarmtwin.world.compiled import compiled_measure
 from swarmtwin.world.motion import Motion, RandomMotion
 from swarmtwin.world.scenario import Scenario, ScenarioSupply
 from swarmtwin.world.task import Events, Task
@@ -89,7 +88,7 @@ class World:
         self.robot = task.robot
         self.motion = motion
         self.worlds = worlds
-        self._measure = compiled_measure(task) if compiled else task.measure
+        self._measure = task.measure_compiled if compiled else task.measure
         self._supply = ScenarioSupply(task.draw, at_a_time=max(16, worlds), seed=seed)
         self._resting_command = self.robot.command_at_rest
         self._lowest, self._highest = (  # of the full shape: numpy is slow to repeat two numbers

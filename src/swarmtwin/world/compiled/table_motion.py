@@ -69,6 +69,10 @@ class TableMotion(Motion):
         self._pose = moved
         return self._photographed(moved.copy())
 
+    def reseed(self, seed: int) -> None:
+        """Draw everything from now on with another seed."""
+        self._rng = np.random.default_rng(seed)
+
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the next motion depends on, for a checkpoint."""
         return {"pose": self._pose.copy(), "rng": np.array(json.dumps(self._rng.bit_generator.state))}

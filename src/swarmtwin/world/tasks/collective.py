@@ -34,11 +34,7 @@ class Collective(Group):
         around_target[:, 0, :2] = targets[:, 0]
         return Scenario.beginning(self.draw_starts(rng, around_target), targets)
 
-    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
-        """Show the target, the others, nearest first, and the walls where they count."""
-        return self.observe_with_others(scenario.target_of_each, pose)
-
-    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
         """Return equation (3): what the target gives, or the distance from it, and what each near neighbour costs.
 
         r = r_target − 5 · (neighbours nearer than `neighbour_near_mm`), where r_target is −5 within `target_near_mm` of
@@ -47,7 +43,7 @@ class Collective(Group):
         target_mm = self.target_distance_mm(scenario, pose)
         near_target = target_mm < self.config.target_near_mm
         target_reward = np.where(near_target, -5.0, -20.0 * target_mm / self.config.d_max_mm)
-        return target_reward - 5.0 * self.near_others(pose)
+        return target_reward - 5.0 * near_others
 
     def _draw_targets(self, rng: np.random.Generator, worlds: int) -> np.ndarray:
         """Draw targets (W, G, 2), each at least `targets_apart_mm` from the one before."""

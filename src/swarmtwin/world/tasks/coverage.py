@@ -7,7 +7,7 @@ import numpy as np
 from swarmtwin.robot import Arena, Positive, Robot
 from swarmtwin.world.group import Group, GroupConfig
 from swarmtwin.world.scenario import Scenario
-from swarmtwin.world.task import Count, Events, NotNegative, Share
+from swarmtwin.world.task import Count, NotNegative, Share
 
 
 class Coverage(Group):
@@ -49,11 +49,11 @@ class Coverage(Group):
         """Nothing: in the middle of its own ground itself a vehicle covers most."""
         return 0.0
 
-    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
-        """Show the middle of each vehicle's own ground, the others, nearest first, and the walls where they count."""
-        return self.observe_with_others(self.middle_of_own_ground(pose), pose)
+    def shown_place(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Return the middle of each vehicle's own ground."""
+        return self.middle_of_own_ground(pose)
 
-    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
         """Penalise how far the ground is from the vehicle nearest to it, the same for all, and near neighbours.
 
         r = −(mean over the ground of the distance to the nearest vehicle) / d_max − near_penalty · (neighbours nearer
@@ -61,13 +61,12 @@ class Coverage(Group):
         """
         _, distance_mm = self._nearest_vehicle(pose)
         shared = -distance_mm.mean(axis=1, keepdims=True) / self.config.d_max_mm
-        return shared - self.config.near_penalty * self.near_others(pose)
+        return shared - self.config.near_penalty * near_others
 
-    def events(self, scenario: Scenario, pose: np.ndarray) -> Events:
-        """Return what has happened; all vehicles are where they should be as soon as enough is covered."""
-        events = super().events(scenario, pose)
+    def at_target(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """All vehicles are where they should be as soon as enough is covered."""
         enough = self.covered_share(pose) >= self.config.covered
-        return Events(events.collided, events.left_arena, np.repeat(enough[:, None], pose.shape[1], axis=1))
+        return np.repeat(enough[:, None], pose.shape[1], axis=1)
 
     def covered_share(self, pose: np.ndarray) -> np.ndarray:
         """Return the share of the ground that is within `reach_mm` of a vehicle, (W,)."""

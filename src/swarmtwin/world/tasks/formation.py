@@ -47,11 +47,7 @@ class Formation(Group):
         assigned = _assigned(start[..., :2], places[:, 0])
         return Scenario.beginning(start, assigned[:, None], obstacles)
 
-    def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
-        """Show each vehicle its own place, the others, nearest first, and the walls where they count."""
-        return self.observe_with_others(scenario.target_of_each, pose)
-
-    def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
         """Reward being in place, penalise the distance from it and near neighbours.
 
         r = reach_reward within `reach_mm` of the own place − d / d_max − near_penalty · (neighbours nearer than
@@ -61,7 +57,7 @@ class Formation(Group):
         return (
             self.config.reach_reward * (distance_mm <= self.config.reach_mm)
             - distance_mm / self.config.d_max_mm
-            - self.config.near_penalty * self.near_others(pose)
+            - self.config.near_penalty * near_others
         )
 
     @property
