@@ -63,7 +63,7 @@ def test_what_two_commands_leave_is_not_enough(robots):
 
 
 def test_a_prediction_is_made_once(robots):
-    """The same values give what is known, others are predicted anew, and a lost command is no other mechanism's."""
+    """The same values give what is known, others are predicted anew; how probable a loss is changes no outcome."""
     base = ExactBase(robots["mgr"])
     session = session_of(base, np.random.default_rng(3), runs=10, steps=10)
     predictor, again = (
@@ -76,3 +76,5 @@ def test_a_prediction_is_made_once(robots):
     for one, other in zip(predictor.outcomes(lag), again.outcomes(lag), strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
     assert not torch.equal(predictor.outcomes(lag).lost, predictor.twist(lag))
+    lossy = [*lag, mechanism_class("command_loss").at({"probability": 0.3})]
+    assert predictor.outcomes(lossy).lost is predictor.outcomes(lag).lost

@@ -218,7 +218,7 @@ def motion_scale_log(
 
 def log_density(whitened: np.ndarray, freedom: float | None) -> np.ndarray:
     """Return the log densities (...,) of whitened errors (..., 3), normal or Student's t of three dimensions."""
-    squared = (whitened**2).sum(axis=-1)
+    squared = np.einsum("...i,...i->...", whitened, whitened)
     if freedom is None:
         normal: np.ndarray = -0.5 * squared - 1.5 * np.log(2 * np.pi)
         return normal

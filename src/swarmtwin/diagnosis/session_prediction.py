@@ -110,18 +110,18 @@ class SessionPredictor:
 
     def twist(self, mechanisms: Sequence[Mechanism]) -> Tensor:
         """Return the measured twists (N, 3) where every command arrives."""
-        return self._known_twist(in_signal_order(mechanisms), (0, 1, 2))
+        return self._known_twist(mechanisms, (0, 1, 2))
 
     def outcomes(self, mechanisms: Sequence[Mechanism]) -> LossOutcomes:
         """Return how each transition goes, by which of its commands arrived."""
-        ordered = in_signal_order(mechanisms)
-        return LossOutcomes(*(self._known_twist(ordered, roles) for roles in _OUTCOMES))
+        return LossOutcomes(*(self._known_twist(mechanisms, roles) for roles in _OUTCOMES))
 
     def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 24) -> Tensor:
-        """Return the twists (N, 3) under mechanisms in the order of the signal; the last few are not predicted anew."""
-        key = (*roles, *(mechanism.model_dump_json() for mechanism in mechanisms))
+        """Return the twists (N, 3), known what arrived; those of the last few mechanisms are not predicted anew."""
+        acting = in_signal_order(one for one in mechanisms if not one.is_arrival_alone)
+        key = (*roles, *(mechanism.model_dump_json() for mechanism in acting))
         twist = self.twists.pop(key, None)
-        self.twists[key] = self._twist(mechanisms, roles) if twist is None else twist
+        self.twists[key] = self._twist(acting, roles) if twist is None else twist
         if len(self.twists) > most_kept:
             del self.twists[next(iter(self.twists))]
         return self.twists[key]
