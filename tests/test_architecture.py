@@ -9,6 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "swarmtwin"
 
 GROUND = {
+    "compiled",
     "configuration",
     "errors",
     "files",
@@ -24,6 +25,7 @@ GROUND = {
 }
 ORDER = ("recordings", "transitions", "learning", "dynamics", "simulation")
 MAY_IMPORT = {
+    "compiled": set(),
     "configuration": {"plugins"},
     "errors": set(),
     "files": {"errors"},

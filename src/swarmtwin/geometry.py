@@ -100,6 +100,8 @@ def log_map(displacement: Array) -> Array:
 def _arc(turn_rad: Array) -> tuple[Array, Array]:
     """Return how far an arc of length 1 that turns by `turn_rad` leads ahead and to the left."""
     xp = array_namespace(turn_rad)
-    along = xp.sinc(turn_rad / xp.pi)
-    across = xp.sinc(turn_rad / (2 * xp.pi)) * xp.sin(turn_rad / 2)
-    return along, across
+    half_rad = turn_rad / 2
+    is_straight = half_rad == 0
+    sine = xp.sin(half_rad)
+    chord = xp.where(is_straight, 1.0, sine / (half_rad + is_straight))
+    return chord * xp.cos(half_rad), chord * sine

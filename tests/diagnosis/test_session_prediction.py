@@ -60,3 +60,21 @@ def test_what_two_commands_leave_is_not_enough(robots):
     )
     wrong, wrong_apart = ((one.twist(lag) - measured).abs().numpy()[late].max() for one in (carried, apart))
     assert wrong < 0.1 < 1.0 < wrong_apart
+
+
+def test_a_prediction_is_made_once(robots):
+    """The same values give what is known, others are predicted anew; how probable a loss is changes no outcome."""
+    base = ExactBase(robots["mgr"])
+    session = session_of(base, np.random.default_rng(3), runs=10, steps=10)
+    predictor, again = (
+        SessionPredictor(base, session.conditions, session.situation, session.follows) for _ in range(2)
+    )
+    lag, slower = ([mechanism_class("actuator_lag").at({"time_constant_s": value})] for value in (0.1, 0.2))
+    assert predictor.twist(lag) is predictor.twist(lag)
+    for mechanisms in (slower, lag, ()):
+        torch.testing.assert_close(predictor.twist(mechanisms), again.twist(mechanisms), rtol=0, atol=1e-12)
+    for one, other in zip(predictor.outcomes(lag), again.outcomes(lag), strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
+    assert not torch.equal(predictor.outcomes(lag).lost, predictor.twist(lag))
+    lossy = [*lag, mechanism_class("command_loss").at({"probability": 0.3})]
+    assert predictor.outcomes(lossy).lost is predictor.outcomes(lag).lost

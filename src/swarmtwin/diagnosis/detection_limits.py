@@ -115,7 +115,7 @@ class _Limits:
     def _proportional_size(self, one: Candidate) -> float:
         """Return the size from which on a cause would be seen if its effect grew in proportion."""
         first = one.columns[:, :1]
-        length = math.sqrt(max(float(self.around.inner(first, first)[0, 0]), 1e-12))
+        length = math.sqrt(max(float(self.around.gram(first)[0, 0]), 1e-12))
         return (math.sqrt(2 * self.needed) + self.power) * abs(next(iter(one.off.values()))) / length
 
     def _limit(self, name: str, cause: SizedCause, size: float, rivals: Rivals, rounds: int = 5) -> FoundLimit:
@@ -140,7 +140,7 @@ class _Limits:
     def _wanted(self, mechanism: Mechanism, price: float, rivals: Rivals) -> tuple[float, Mechanism | None]:
         """Return how many times as much a cause must show to be named, and what it is taken for if it shows less."""
         change = self.around.change(mechanism)
-        length = math.sqrt(max(float(self.around.inner(change[:, None], change[:, None])[0, 0]), 1e-12))
+        length = math.sqrt(max(float(self.around.gram(change[:, None])[0, 0]), 1e-12))
         whole = math.sqrt(self.share_searched)
         seen = (math.sqrt(2 * (self.needed + price)) + self.power) / (whole * length)
         rival, apart = self._nearest(change, mechanism.name, rivals)

@@ -40,9 +40,11 @@ class Discrepancy:
             spread: prior standard deviation of each function's size, in units of the noise.
         """
         mechanisms = tuple(_directions(model))
-        columns = functions(model, mechanisms)
-        size = np.maximum(np.sqrt((model.filter(columns) ** 2).sum(axis=(0, 1)) / len(columns)), 1e-9)
-        effects = RandomEffects.of(columns / size * spread, model.filter, model.weight)
+        whitened = model.filter(functions(model, mechanisms))
+        count = len(whitened)
+        columns = whitened.reshape(3 * count, -1)
+        size = np.maximum(np.sqrt((columns**2).sum(axis=0) / count), 1e-9)
+        effects = RandomEffects.of(columns / size * spread, model.weight)
         mean = spread * effects.sizes(model.filter(model.errors(())[..., None])[..., 0])
         values, vectors = np.linalg.eigh(effects.inverse)
         return cls(mechanisms, size, mean, spread * vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -56,7 +58,7 @@ class Discrepancy:
 def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
     """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected."""
     smooth = np.column_stack([smooth_functions(model.session), _local_functions(model.session)])
-    spread = model.reference_noise.spread(model.simulated.numpy())
+    spread = model.usual_spread
     columns = []
     for axis in range(3):
         for function in smooth.T:

@@ -121,11 +121,9 @@ class _Search:
         """Return values (P,) after some steps downhill, fewer where one is `enough` standard deviations or less."""
         for _ in range(self.settings.rounds):
             here = self.whitened(values)
-            slopes = self.slopes(values, here)
-            precision = effects.inner(slopes, slopes) + self.prior_precision
-            downhill = -effects.inner(slopes, here[:, None])[:, 0]
-            moved = self._bounded_step(values, precision, downhill)
-            loss = self._loss(effects, here)
+            gram = effects.gram(np.column_stack([self.slopes(values, here), here]))
+            precision, loss = gram[:-1, :-1] + self.prior_precision, gram[-1, -1]
+            moved = self._bounded_step(values, precision, -gram[:-1, -1])
             for _ in range(4):
                 if self._loss(effects, self.whitened(moved)) <= loss:
                     break
@@ -155,7 +153,7 @@ class _Search:
 
     @staticmethod
     def _loss(effects: RandomEffects, whitened: np.ndarray) -> float:
-        return float(effects.inner(whitened[:, None], whitened[:, None])[0, 0])
+        return float(effects.gram(whitened[:, None])[0, 0])
 
     def _total(self, values: np.ndarray) -> float:
         return self.model.evaluate(self.at(values)).total
@@ -211,8 +209,8 @@ class _Search:
             slopes = self.slopes(values, fitted.whitened.ravel())
             wide = np.tile(fitted.scale, len(fitted.residual))
             scaled = slopes / wide[:, None]
-            curvature = effects.inner(scaled, scaled) + self.prior_precision
-            information = self.model.effects_with_any_form(mechanisms).inner(scaled, scaled) + self.prior_precision
+            curvature = effects.gram(scaled) + self.prior_precision
+            information = self.model.effects_with_any_form(mechanisms).gram(scaled) + self.prior_precision
             scores = -(scaled * (effects.weight * fitted.residual.ravel() / wide)[:, None])
             scores = scores.reshape(-1, 3, len(values)).sum(axis=1)
             naive = np.linalg.inv((scaled * effects.weight[:, None]).T @ scaled + self.prior_precision)

@@ -122,7 +122,7 @@ class SessionLikelihood(SessionErrors):
         """Random effects without any mechanism: of units first."""
         columns = [*unit_effects(self), *simulation_effects(self)]
         together = np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
-        return RandomEffects.of(np.concatenate([together, self.discrepancy[1]], axis=-1), self.filter, self.weight)
+        return RandomEffects.of(self._whitened(np.concatenate([together, self.discrepancy[1]], axis=-1)), self.weight)
 
     @cached_property
     def _unit_effects_where_lost(self) -> np.ndarray:
@@ -145,14 +145,18 @@ class SessionLikelihood(SessionErrors):
             return self.effects
         slopes = self._error_slopes(mechanisms)
         weight = np.repeat(self.weight, 3)[:, None]
-        along, across = (self.filter(one).reshape(3 * len(one), one.shape[-1]) for one in (slopes, forms))
+        along, across = self._whitened(slopes), self._whitened(forms)
         share = np.linalg.lstsq((along * weight).T @ along, (along * weight).T @ across, rcond=1e-10)[0]
-        return self.effects.extended(forms - slopes @ share, self.filter)
+        return self.effects.extended(across - along @ share)
 
     def effects_with_any_form(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
         """Return the random effects with forms that may look like another value of a parameter: for its interval."""
         forms = self._forms(mechanisms)
-        return self.effects.extended(forms, self.filter) if forms.shape[-1] else self.effects
+        return self.effects.extended(self._whitened(forms)) if forms.shape[-1] else self.effects
+
+    def _whitened(self, directions: np.ndarray) -> np.ndarray:
+        """Return directions (N, 3, k) of errors as columns (3 N, k)."""
+        return self.filter(directions).reshape(3 * len(directions), directions.shape[-1])
 
     def _forms(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return (N, 3, q) what other forms of mechanisms would change."""
@@ -181,14 +185,16 @@ class SessionLikelihood(SessionErrors):
         if arrives >= 1.0:
             whitened = self.whitened(mechanisms)
             sizes = effects.sizes(whitened)
-            residual = whitened - effects.of_sizes(sizes)
+            shift = effects.of_sizes(sizes)
+            residual = whitened - shift
             scale = self._scale(residual)
             density = log_density(residual / scale, freedom)
         else:
             lost, where_lost = LostCommands(self, mechanisms), self._unit_effects_where_lost
             for _ in range(2):
                 sizes = effects.sizes(lost.whitened)
-                lost.expect(effects.errors @ sizes, where_lost @ sizes[: where_lost.shape[-1]])
+                effect_errors = self.filter.inverse(effects.of_sizes(sizes))
+                lost.expect(effect_errors, where_lost @ sizes[: where_lost.shape[-1]])
             is_lost = lost.likeliest > 0
             whitened, sizes = lost.whitened, effects.sizes(lost.whitened)
             shift = effects.of_sizes(sizes)
@@ -197,7 +203,7 @@ class SessionLikelihood(SessionErrors):
             density = lost.log_density(shift, scale)
         log_likelihood = density - volume - np.log(scale).sum()
         penalty = float(sizes @ sizes) / 2 + self._scale_penalty(scale)
-        effect_errors = effects.errors @ sizes
+        effect_errors = self.filter.inverse(shift)
         return FittedMechanisms(
             tuple(mechanisms), log_likelihood, whitened, residual, scale, penalty, effect_errors, is_lost
         )

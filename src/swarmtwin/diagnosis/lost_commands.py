@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from swarmtwin.compiled import compiled
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import arrival_probability
@@ -52,22 +53,31 @@ class LostCommands:
         """
         left = (self._courses - shift[..., None]) / scale[:, None]
         emitted = log_density(left.transpose(0, 2, 1), self._model.noise.degrees_of_freedom)
-        arrives, lost = self._arrives, 1 - self._arrives
-        density = np.zeros(len(left))
-        age = np.zeros((0, 3))
-        for number, rows in enumerate(self._model.filter.steps):
-            if not number:
-                age = np.tile([arrives, arrives * lost, lost**2], (len(rows), 1))
-            age = age[: len(rows)]
-            largest = emitted[rows].max(axis=1, keepdims=True)
-            seen = np.exp(emitted[rows] - largest)
-            fresh = arrives * (age[:, 0] * seen[:, 0] + (age[:, 1] + age[:, 2]) * seen[:, 1])
-            once = lost * age[:, 0] * seen[:, 2]
-            twice = lost * (age[:, 1] + age[:, 2]) * seen[:, 3]
-            total = np.maximum(fresh + once + twice, 1e-300)
-            density[rows] = np.log(total) + largest[:, 0]
-            age = np.column_stack([fresh, once, twice]) / total[:, None]
+        chains = self._model.filter.chains
+        density: np.ndarray = _log_density(*chains, emitted, self._arrives)
         return density
+
+
+@compiled
+def _log_density(rows: np.ndarray, ends: np.ndarray, emitted: np.ndarray, arrives: float) -> np.ndarray:
+    """Return (N,) log densities in chains of transitions, of those (N, 4) of each course: Rabiner's forward algorithm.
+
+    The hidden state is how old the command in force is: none, one or more periods, each scaled to sum to 1.
+    """
+    lost, density = 1 - arrives, np.zeros(len(emitted))
+    for chain in range(len(ends) - 1):
+        now, once, twice = arrives, arrives * lost, lost**2
+        for row in rows[ends[chain] : ends[chain + 1]]:
+            largest = emitted[row].max()
+            seen = np.exp(emitted[row] - largest)
+            older = once + twice
+            fresh = arrives * (now * seen[0] + older * seen[1])
+            once = lost * now * seen[2]
+            twice = lost * older * seen[3]
+            total = max(fresh + once + twice, 1e-300)
+            density[row] = np.log(total) + largest
+            now, once, twice = fresh / total, once / total, twice / total
+    return density
 
 
 def likeliest_errors(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
@@ -89,8 +99,7 @@ def _likeliest(model: SessionErrors, errors: np.ndarray, arrives: float) -> np.n
     """Return (N,) which of the courses with errors (N, 3, 4) each transition most likely took."""
     lost = 1 - arrives
     chance = np.log([arrives * arrives, arrives * lost, arrives * lost, lost**2])
-    noise = model.reference_noise
-    spread = noise.spread(model.simulated.numpy())[..., None]
-    alone = log_density((errors / spread).transpose(0, 2, 1), noise.degrees_of_freedom) + chance
+    spread, freedom = model.usual_spread[..., None], model.reference_noise.degrees_of_freedom
+    alone = log_density((errors / spread).transpose(0, 2, 1), freedom) + chance
     likeliest: np.ndarray = alone.argmax(axis=1)
     return likeliest

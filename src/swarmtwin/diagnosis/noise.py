@@ -10,7 +10,6 @@ to first order. So errors of one run are jointly normal with a block-tridiagonal
 them independent of each other.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -19,6 +18,7 @@ from scipy import optimize
 from scipy.special import gammaln
 
 from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.noise_filter import Chains, NoiseFilter
 from swarmtwin.diagnosis.settings import NoiseSettings
 
 
@@ -122,7 +122,8 @@ class Noise:
 
     def filter(self, twist: np.ndarray, session: MeasuredSession) -> "NoiseFilter":
         """Prepare to make errors of a session independent, whose vehicles truly move by about `twist` (N, 3)."""
-        return NoiseFilter.of(self, twist, session)
+        chains = Chains.of(session.chains())
+        return NoiseFilter.prepared(chains, -inverse_adjoint(twist), self.motion_covariance(twist), self.camera)
 
     def log_likelihood(self, error: np.ndarray, twist: np.ndarray, session: MeasuredSession) -> float:
         """Return the log-likelihood of errors (N, 3), nats."""
@@ -155,14 +156,13 @@ def likeliest_scales(
     """
     pieces = session.chains(longest=16)
     pieces = pieces[:: max(1, len(pieces) // most_pieces)]
-    rows = np.concatenate(pieces)
-    ends = np.cumsum([len(piece) for piece in pieces])
-    steps = _steps(np.split(np.arange(len(rows)), ends[:-1]))
+    chains = Chains.of(pieces)
+    rows, chains = chains.rows, chains.alone()
     carry, motion, seen = -inverse_adjoint(twist[rows]), noise.motion_covariance(twist[rows]), error[rows, :, None]
 
     def loss(logs: np.ndarray) -> float:
         scales = NoiseScales(*np.exp(2 * logs))
-        prepared = NoiseFilter.prepared(steps, carry, scales.motion * motion, noise.scaled(scales).camera)
+        prepared = NoiseFilter.prepared(chains, carry, scales.motion * motion, noise.scaled(scales).camera)
         density = log_density(prepared(seen)[..., 0], noise.degrees_of_freedom)
         likelihood = density.sum() - prepared.log_volume.sum()
         return float(-likelihood * len(error) / len(rows) + ((logs / spread) ** 2).sum() / 2)
@@ -216,83 +216,9 @@ def motion_scale_log(
     return float(log), float(np.sqrt(max(covariance[0, 0], 1e-12)))
 
 
-@dataclass(frozen=True)
-class NoiseFilter:
-    """Makes the errors of one session independent, with unit covariance; a linear map.
-
-    Attributes:
-        steps: rows of the n-th transitions of all chains that have so many, for n from 0; longest chains first.
-        carry: (N, 3, 3) what the camera's error before a period does to its error, −A.
-        whiten: (N, 3, 3) standardises innovations.
-        gain: (N, 3, 3) what an innovation says of the camera's error after it.
-        log_volume: (N,) log determinant of the innovation's standard deviation.
-    """
-
-    steps: Sequence[np.ndarray]
-    carry: np.ndarray
-    whiten: np.ndarray
-    gain: np.ndarray
-    log_volume: np.ndarray
-
-    @classmethod
-    def of(cls, noise: Noise, twist: np.ndarray, session: MeasuredSession) -> Self:
-        """Prepare for a session whose vehicles truly move by about `twist` (N, 3)."""
-        return cls.prepared(
-            _steps(session.chains()), -inverse_adjoint(twist), noise.motion_covariance(twist), noise.camera
-        )
-
-    @classmethod
-    def prepared(cls, steps: Sequence[np.ndarray], carry: np.ndarray, motion: np.ndarray, variance: np.ndarray) -> Self:
-        """Run the filter's covariances through chains.
-
-        Args:
-            steps: as the attribute.
-            carry: likewise.
-            motion: (N, 3, 3) covariances of the motion's own part.
-            variance: (3,) of a measured pose.
-        """
-        camera = np.diag(variance)
-        whiten, gain, volume = np.zeros_like(carry), np.zeros_like(carry), np.zeros(len(carry))
-        known = np.tile(camera, (len(steps[0]) if len(steps) else 0, 1, 1))
-        for rows in steps:
-            before = carry[rows]
-            spread = before @ known[: len(rows)] @ before.transpose(0, 2, 1) + motion[rows] + camera
-            root = np.linalg.cholesky(spread)
-            whiten[rows] = np.linalg.inv(root)
-            volume[rows] = np.log(root[:, range(3), range(3)]).sum(axis=1)
-            gain[rows] = camera @ whiten[rows].transpose(0, 2, 1) @ whiten[rows]
-            known = camera - gain[rows] @ camera
-        return cls(steps, carry, whiten, gain, volume)
-
-    def __call__(self, errors: np.ndarray) -> np.ndarray:
-        """Return columns of errors (N, 3, k), or of their changes, independent and of unit covariance."""
-        return self.with_history(errors, errors)
-
-    def with_history(self, errors: np.ndarray, history: np.ndarray) -> np.ndarray:
-        """Standardise errors (N, 3, k) given that those before them were `history` (N, 3, k)."""
-        whitened = np.zeros_like(errors)
-        expected = np.zeros_like(errors[:0])
-        for number, rows in enumerate(self.steps):
-            if number:
-                shift = self.carry[rows] @ expected[: len(rows)]
-                whitened[rows] = self.whiten[rows] @ (errors[rows] - shift)
-                expected = self.gain[rows] @ (history[rows] - shift)
-            else:
-                whitened[rows] = self.whiten[rows] @ errors[rows]
-                expected = self.gain[rows] @ history[rows]
-        return whitened
-
-
-def _steps(chains: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return the rows of the n-th transitions of all chains that have so many, for n from 0; longest chains first."""
-    ordered = sorted(chains, key=len, reverse=True)
-    longest = len(ordered[0]) if ordered else 0
-    return [np.array([chain[n] for chain in ordered if len(chain) > n]) for n in range(longest)]
-
-
 def log_density(whitened: np.ndarray, freedom: float | None) -> np.ndarray:
     """Return the log densities (...,) of whitened errors (..., 3), normal or Student's t of three dimensions."""
-    squared = (whitened**2).sum(axis=-1)
+    squared = np.einsum("...i,...i->...", whitened, whitened)
     if freedom is None:
         normal: np.ndarray = -0.5 * squared - 1.5 * np.log(2 * np.pi)
         return normal

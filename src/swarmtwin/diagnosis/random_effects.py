@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from swarmtwin.diagnosis.measured_session import MeasuredSession
-from swarmtwin.diagnosis.noise import NoiseFilter
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.simulation.mechanism import Mechanism, twist_of_wheels, wheel_travel
@@ -21,66 +20,76 @@ class RandomEffects:
     """K directions of errors, each in units of its prior standard deviation.
 
     Attributes:
-        errors: (N, 3, K) as changes of errors.
-        columns: (3 N, K) whitened.
-        weighted: (3 N, K) times how much each transition counts.
-        weight: (3 N,) that.
+        columns: (3 N, k) whitened, in one or more blocks, of K columns together.
+        weight: (3 N,) how much each transition counts.
         precision: (K, K) of their sizes, posterior.
         inverse: (K, K) of it.
         log_determinant: of the precision.
     """
 
-    errors: np.ndarray
-    columns: np.ndarray
-    weighted: np.ndarray
+    columns: tuple[np.ndarray, ...]
     weight: np.ndarray
     precision: np.ndarray
     inverse: np.ndarray
     log_determinant: float
 
     @classmethod
-    def of(cls, errors: np.ndarray, whiten: NoiseFilter, weight: np.ndarray) -> Self:
-        """Prepare directions (N, 3, K); transitions count `weight` (N,)."""
-        flat = whiten(errors).reshape(3 * len(errors), errors.shape[-1])
+    def of(cls, columns: np.ndarray, weight: np.ndarray) -> Self:
+        """Prepare directions (3 N, K), whitened; transitions count `weight` (N,)."""
         repeated = np.repeat(weight, 3)
-        weighted = flat * repeated[:, None]
-        return cls._of(errors, flat, weighted, repeated, np.eye(flat.shape[1]) + flat.T @ weighted)
+        precision = np.eye(columns.shape[1]) + columns.T @ (columns * repeated[:, None])
+        return cls._of((columns,), repeated, precision)
 
     @classmethod
-    def _of(
-        cls, errors: np.ndarray, columns: np.ndarray, weighted: np.ndarray, weight: np.ndarray, precision: np.ndarray
-    ) -> Self:
+    def _of(cls, columns: tuple[np.ndarray, ...], weight: np.ndarray, precision: np.ndarray) -> Self:
         inverse, log_determinant = np.linalg.inv(precision), float(np.linalg.slogdet(precision)[1])
-        return cls(errors, columns, weighted, weight, precision, inverse, log_determinant)
+        return cls(columns, weight, precision, inverse, log_determinant)
 
-    def extended(self, errors: np.ndarray, whiten: NoiseFilter) -> "RandomEffects":
-        """Return them with further directions (N, 3, K')."""
-        flat = whiten(errors).reshape(3 * len(errors), errors.shape[-1])
-        weighted = flat * self.weight[:, None]
-        beside = self.weighted.T @ flat
-        precision = np.block([[self.precision, beside], [beside.T, np.eye(flat.shape[1]) + flat.T @ weighted]])
-        return self._of(
-            np.concatenate([self.errors, errors], axis=-1),
-            np.column_stack([self.columns, flat]),
-            np.column_stack([self.weighted, weighted]),
-            self.weight,
-            precision,
-        )
+    def extended(self, columns: np.ndarray) -> "RandomEffects":
+        """Return them with further directions (3 N, K'), whitened."""
+        weighted = columns * self.weight[:, None]
+        beside, own = self._along(weighted), np.eye(columns.shape[1]) + columns.T @ weighted
+        precision = np.block([[self.precision, beside], [beside.T, own]])
+        return self._of((*self.columns, columns), self.weight, precision)
 
     def sizes(self, whitened: np.ndarray) -> np.ndarray:
         """Return (K,) the likeliest sizes that whitened errors (N, 3) show."""
-        sizes: np.ndarray = self.inverse @ (self.weighted.T @ whitened.ravel())
+        sizes: np.ndarray = self.inverse @ self._along(self.weight * whitened.ravel())
         return sizes
 
     def of_sizes(self, sizes: np.ndarray) -> np.ndarray:
         """Return what sizes (K,) make of whitened errors, (N, 3)."""
-        return (self.columns @ sizes).reshape(-1, 3)
+        return self._of_sizes(sizes).reshape(-1, 3)
 
-    def inner(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Return products (p, q) of columns (3 N, p) and (3 N, q), with the effects integrated out."""
-        direct = (one * self.weight[:, None]).T @ other
-        product: np.ndarray = direct - (self.weighted.T @ one).T @ self.inverse @ (self.weighted.T @ other)
+    def gram(self, columns: np.ndarray) -> np.ndarray:
+        """Return the products (p, p) of columns (3 N, p) with each other, the effects integrated out."""
+        weighted = columns * self.weight[:, None]
+        along = self._along(weighted)
+        product: np.ndarray = weighted.T @ columns - along.T @ self.inverse @ along
         return product
+
+    def beyond(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (3 N, p), weighted, less what the effects take over: what their products are made with."""
+        weighted = columns * self.weight[:, None]
+        sizes = self.inverse @ self._along(weighted)
+        beyond: np.ndarray = weighted - self.weight[:, None] * self._of_sizes(sizes)
+        return beyond
+
+    def least_squares(self, columns: np.ndarray, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the products (p, p) of columns (3 N, p), and those (p,) with errors (3 N,), likewise."""
+        gram = self.gram(np.column_stack([columns, errors]))
+        return gram[:-1, :-1], gram[:-1, -1]
+
+    def _of_sizes(self, sizes: np.ndarray) -> np.ndarray:
+        """Return the sums (3 N, ...) of the directions times sizes (K, ...)."""
+        ends = np.cumsum([block.shape[1] for block in self.columns])
+        parts = zip(self.columns, np.split(sizes, ends[:-1]), strict=True)
+        total: np.ndarray = sum(block @ part for block, part in parts)
+        return total
+
+    def _along(self, weighted: np.ndarray) -> np.ndarray:
+        """Return the products (K, ...) of the directions with columns (3 N, ...) that are weighted."""
+        return np.concatenate([block.T @ weighted for block in self.columns])
 
 
 def simulation_effects(model: SessionErrors) -> Iterator[np.ndarray]:

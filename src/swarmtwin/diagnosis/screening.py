@@ -43,12 +43,14 @@ def candidates(
 ) -> list[Candidate]:
     """Return mechanisms at all points of their grids, beside others that are fitted already."""
     traction = local_traction_score(model, beside)
+    here = model.whitened(_arriving(beside))
+    here[beside.is_lost] = 0.0
     found = []
     for name, cause in kinds.items():
         if name not in beside.names:
             for kind in cause.forms():
                 for start in _grid(model, kind, traction):
-                    found.append(_candidate(model, beside, name, kind, start))
+                    found.append(_candidate(model, beside, here, name, kind, start))
     return found
 
 
@@ -71,8 +73,7 @@ def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Ca
     columns = np.column_stack([one.columns for one in usable])
     ends = np.cumsum([one.columns.shape[1] for one in usable])
     rows = [np.arange(end - one.columns.shape[1], end) for end, one in zip(ends, usable, strict=True)]
-    gram = model.effects.inner(columns, columns)
-    side = -model.effects.inner(columns, beside.whitened.reshape(-1, 1))[:, 0]
+    gram, side = model.effects.least_squares(columns, -beside.whitened.ravel())
     best: dict[tuple[str, str], Candidate] = {}
     for first, second in combinations(range(len(usable)), 2):
         names = usable[first].name, usable[second].name
@@ -89,7 +90,7 @@ def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Ca
 
 def local_traction_score(model: SessionLikelihood, fitted: FittedMechanisms, step: float = 0.02) -> LocalTractionScore:
     """Return where the traction seems to be another one than fitted mechanisms say, by a small loss everywhere."""
-    arriving = [one for one in fitted.mechanisms if one.arrival_probability() >= 1.0]
+    arriving = _arriving(fitted)
     weaker = [*arriving, gain_change.Config.at({"gain": 1 - step})]
     response = (model.whitened(weaker) - model.whitened(arriving)) / step
     response[fitted.is_lost] = 0.0
@@ -112,30 +113,28 @@ def _grid(model: SessionLikelihood, kind: MechanismClass, traction: LocalTractio
 def _candidate(
     model: SessionLikelihood,
     beside: FittedMechanisms,
+    here: np.ndarray,
     name: str,
     kind: MechanismClass,
     start: Mapping[str, float],
 ) -> Candidate:
+    """Return a mechanism at a point of its grid, beside others with which whitened errors are `here` (N, 3)."""
     parameters = kind.parameters_of(model.robot, model.session.conditions)
     begun = {**model.read_off_clock(kind), **start}
     if loses_commands([kind]):
         moved = {key: _off_null(parameters[key], value) for key, value in start.items()}
         ahead = (*beside.mechanisms, kind.at({**begun, **moved}))
         return Candidate(name, model.evaluate(ahead).total - beside.total, ahead, np.zeros((3 * len(model.session), 0)))
-    arriving = [one for one in beside.mechanisms if one.arrival_probability() >= 1.0]
-    here = model.whitened(arriving)
-    here[beside.is_lost] = 0.0
     nulls = {key: one.null_value for key, one in parameters.items() if one.null_value is not None}
     moved = {key: _off_null(parameters[key], start[key]) for key in nulls}
     probes: list[dict[str, float]] = [{**nulls, key: value} for key, value in moved.items()]
     responses = []
     for probe in probes or [{}]:
-        change = model.whitened([*arriving, kind.at({**begun, **probe})]) - here
+        change = model.whitened([*_arriving(beside), kind.at({**begun, **probe})]) - here
         change[beside.is_lost] = 0.0
         responses.append(change.ravel())
     columns = np.stack(responses, axis=-1)
-    gram = model.effects.inner(columns, columns)
-    side = -model.effects.inner(columns, here.reshape(-1, 1))[:, 0]
+    gram, side = model.effects.least_squares(columns, -here.ravel())
     solution = np.linalg.lstsq(gram, side, rcond=1e-8)[0]
     values = dict(begun)
     for (key, value), factor in zip(moved.items(), solution, strict=False):
@@ -146,6 +145,11 @@ def _candidate(
     nats = float(solution @ side - solution @ gram @ solution / 2)
     off = {key: value - nulls[key] for key, value in moved.items()}
     return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, begun, off)
+
+
+def _arriving(fitted: FittedMechanisms) -> list[Mechanism]:
+    """Return the mechanisms under which every command arrives."""
+    return [one for one in fitted.mechanisms if one.arrival_probability() >= 1.0]
 
 
 def _off_null(parameter: Parameter, value: float) -> float:

@@ -11,12 +11,12 @@ from swarmtwin.diagnosis.flexible_residual import FlexibleResidual
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import (
     Noise,
-    NoiseFilter,
     NoiseScales,
     likeliest_scales,
     motion_scale_log,
     tail_weights,
 )
+from swarmtwin.diagnosis.noise_filter import NoiseFilter
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModel
@@ -98,9 +98,14 @@ class SessionErrors:
         return FlexibleResidual.of(self.session, steady, before, self.settings.flexible)
 
     @cached_property
+    def usual_spread(self) -> np.ndarray:
+        """(N, 3) standard deviations of errors by the reference's noise, were the simulation right."""
+        return self.reference_noise.spread(self.simulated.numpy())
+
+    @cached_property
     def expected_errors(self) -> np.ndarray:
         """(N, 3) what the simulation's errors depend on, by a regression that has not seen their runs."""
-        scale = self.reference_noise.spread(self.simulated.numpy())
+        scale = self.usual_spread
         weight = np.ones(len(scale))
         if not self.explained:
             return self.flexible.predicted(self._plain_errors, scale, weight)

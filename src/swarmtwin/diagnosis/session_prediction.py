@@ -22,7 +22,7 @@ from swarmtwin.learning.situation import Situation
 from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.ensemble_dynamics import CrossFitted, OneMember
+from swarmtwin.simulation.ensemble_dynamics import OneMember
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import FOLLOWING, SETTING, end_memory, period_motion, remembered_after_two
@@ -59,6 +59,7 @@ class SessionPredictor:
         follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
         sent: the commands as they were sent; None where each is sent at the beginning of its period.
         answers: of the base so far, by the mechanisms that change what it is asked; those of the last few are kept.
+        twists: (N, 3) that were asked for, by the mechanisms; those of the last few are kept.
     """
 
     base: DynamicsModel
@@ -67,6 +68,7 @@ class SessionPredictor:
     follows: np.ndarray
     sent: SentCommands | None = None
     answers: dict[tuple[str, ...], Answers] = field(default_factory=lambda: {(): Answers()})
+    twists: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
 
     def with_member(self, member: int) -> "SessionPredictor":
         """Return it with one member of the base in the place of the mean of all."""
@@ -108,12 +110,21 @@ class SessionPredictor:
 
     def twist(self, mechanisms: Sequence[Mechanism]) -> Tensor:
         """Return the measured twists (N, 3) where every command arrives."""
-        return self._twist(in_signal_order(mechanisms), (0, 1, 2))
+        return self._known_twist(mechanisms, (0, 1, 2))
 
     def outcomes(self, mechanisms: Sequence[Mechanism]) -> LossOutcomes:
         """Return how each transition goes, by which of its commands arrived."""
-        ordered = in_signal_order(mechanisms)
-        return LossOutcomes(*(self._twist(ordered, roles) for roles in _OUTCOMES))
+        return LossOutcomes(*(self._known_twist(mechanisms, roles) for roles in _OUTCOMES))
+
+    def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 24) -> Tensor:
+        """Return the twists (N, 3), known what arrived; those of the last few mechanisms are not predicted anew."""
+        acting = in_signal_order(one for one in mechanisms if not one.is_arrival_alone)
+        key = (*roles, *(mechanism.model_dump_json() for mechanism in acting))
+        twist = self.twists.pop(key, None)
+        self.twists[key] = self._twist(acting, roles) if twist is None else twist
+        if len(self.twists) > most_kept:
+            del self.twists[next(iter(self.twists))]
+        return self.twists[key]
 
     def outcome_commands(self) -> list[tuple[Tensor, Tensor]]:
         """Return the commands (N, m) in force, and those in force before, of each of these ways."""
@@ -136,7 +147,11 @@ class SessionPredictor:
         return given.command, given.previous_command, given.earlier_command
 
     def _undisturbed(self) -> BaseTwists:
-        return self._from_own_velocity(BaseTwists(self.base, self.moment(), self._commands(), self.answers[()]))
+        return self._from_own_velocity(self._as_sent())
+
+    def _as_sent(self) -> BaseTwists:
+        """Return what the base answers to the commands as they were sent, from the measured poses."""
+        return BaseTwists(self.base, self.moment(), self._commands(), self.answers[()], follows=self.follows)
 
     def _steps(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield transitions that follow others, and these others, indices (n,) each, the first of all runs first."""
@@ -167,11 +182,8 @@ class SessionPredictor:
             assert velocity is not None
             velocity = velocity.clone()
             for rows, before in self._steps():
-                moment = replace(twists.moment, velocity=velocity).of_rows(before)
-                base = self.base.of_rows(before) if isinstance(self.base, CrossFitted) else self.base
-                commands = [command[before] for command in twists.commands]
-                part = BaseTwists(base, moment, commands, clock_is_nominal=twists.clock_is_nominal)
-                velocity[rows] = part.velocity_after()
+                moving = replace(twists, moment=replace(twists.moment, velocity=velocity), roles=(0, 1, 2))
+                velocity[rows] = moving.of_rows(before).velocity_after()
             twists.known.velocity = velocity
         return replace(twists, moment=replace(twists.moment, velocity=twists.known.velocity))
 
@@ -216,7 +228,8 @@ class SessionPredictor:
         if changing or "pose" in self.base.inputs:  # what a controller gives may depend on the pose
             changing += moving
         answers = self._answers(changing)
-        twists = BaseTwists(self.base, moment, given, answers, roles, clock_is_nominal=bool(nominal))
+        undisturbed = self._as_sent() if changing else None
+        twists = BaseTwists(self.base, moment, given, answers, roles, bool(nominal), self.follows, undisturbed)
         twists = self._from_own_velocity(twists)
         memory = remembered_after_two(mechanisms, twists)
         if memory and roles == (0, 1, 2):

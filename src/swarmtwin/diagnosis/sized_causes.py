@@ -69,10 +69,9 @@ class Surroundings:
         self.model = model
         self.arriving = self.arriving_of(mechanisms)
         self._here = model.whitened(self.arriving)
-        slopes, precision = self.slopes(())
-        self._slopes = slopes
-        own = model.effects.inner(slopes, slopes) + precision
-        self._inverse = np.linalg.inv(own)
+        self._slopes, precision = self.slopes(())
+        prior = np.sqrt(np.diag(precision))
+        self._effects = model.effects.extended(self._slopes / prior) if len(prior) else model.effects
 
     @staticmethod
     def arriving_of(mechanisms: Sequence[Mechanism]) -> list[Mechanism]:
@@ -84,13 +83,17 @@ class Surroundings:
         changed: np.ndarray = (self.model.whitened([*self.arriving, mechanism]) - self._here).ravel()
         return changed
 
-    def inner(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        """Return products (p, q) of columns (3 N, p) and (3 N, q)."""
-        inner = self.model.effects.inner
-        product: np.ndarray = inner(one, other)
-        if self._slopes.shape[1]:
-            product = product - inner(one, self._slopes) @ self._inverse @ inner(self._slopes, other)
-        return product
+    def gram(self, columns: np.ndarray) -> np.ndarray:
+        """Return products (p, p) of columns (3 N, p) with each other."""
+        return self._effects.gram(columns)
+
+    def beyond(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns (3 N, p) less what is taken over: what their products are made with."""
+        return self._effects.beyond(columns)
+
+    def least_squares(self, columns: np.ndarray, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return products (p, p) of columns (3 N, p), and those (p,) with a change (3 N,)."""
+        return self._effects.least_squares(columns, change)
 
     def slopes(self, added: Sequence[Mechanism]) -> tuple[np.ndarray, np.ndarray]:
         """Return (3 N, P) how whitened errors change with the parameters, and these' prior precision (P, P).
@@ -116,13 +119,13 @@ class Surroundings:
         slopes, precision = self.slopes([mechanism])
         kind = type(mechanism)
         sizes = [one.size for _, _, one in self.model.parameters([kind])]
-        curvature = float(np.linalg.slogdet(self.inner(slopes, slopes) + precision)[1]) / 2 if sizes else 0.0
+        curvature = float(np.linalg.slogdet(self.gram(slopes) + precision)[1]) / 2 if sizes else 0.0
         forms = math.log(len(kind.forms()))
         return forms + curvature + float(np.log(sizes).sum()) - len(sizes) * math.log(2 * math.pi) / 2
 
     def imitation(self, change: np.ndarray, rival: Candidate) -> Mechanism | None:
         """Return a rival with the values at which it comes nearest to a change (3 N,); None where none would."""
-        gram, side = self.inner(rival.columns, rival.columns), self.inner(rival.columns, change[:, None])[:, 0]
+        gram, side = self.least_squares(rival.columns, change)
         factors = np.linalg.lstsq(gram, side, rcond=1e-8)[0]
         parameters = self.model.parameters([rival.form])
         values = dict(rival.held)
@@ -138,9 +141,7 @@ class Surroundings:
         """Return the distance of a change (3 N,) from a rival that may take other values, and another form."""
         model, around = self.model, [*self.arriving, rival]
         slopes, precision = self.slopes([rival])
-        inner = model.effects_with(around).inner
-        both = np.column_stack([change - self.change(rival), slopes, self._slopes])
-        gram = inner(both, both)
+        gram = model.effects_with(around).gram(np.column_stack([change - self.change(rival), slopes, self._slopes]))
         own = slopes.shape[1]
         gram[1 : 1 + own, 1 : 1 + own] += precision
         taken = float(gram[0, 1:] @ np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=1e-10)[0])
@@ -163,16 +164,16 @@ class Rivals:
             np.arange(end - one.columns.shape[1], end) for end, one in zip(ends, self.candidates, strict=True)
         ]
         size = 3 * len(around.model.session)
-        self._columns = np.column_stack([np.zeros((size, 0)), *(one.columns for one in self.candidates)])
-        self._gram = around.inner(self._columns, self._columns)
+        columns = np.column_stack([np.zeros((size, 0)), *(one.columns for one in self.candidates)])
+        self._beyond = around.beyond(columns)
+        self._gram = columns.T @ self._beyond
 
     def alike(self, change: np.ndarray, name: str, least: float) -> list[Candidate]:
         """Return those of other names that take over a share of a change (3 N,), were they as large as need be.
 
         The best of each name, the most alike first; at least a share of `least`.
         """
-        whole = float(self.around.inner(change[:, None], change[:, None])[0, 0])
-        side = self.around.inner(self._columns, change[:, None])[:, 0]
+        whole, side = float(self.around.gram(change[:, None])[0, 0]), self._beyond.T @ change
         best: dict[str, tuple[float, Candidate]] = {}
         for one, rows in zip(self.candidates, self._rows, strict=True):
             factors = np.linalg.lstsq(self._gram[np.ix_(rows, rows)], side[rows], rcond=1e-8)[0]

@@ -8,14 +8,16 @@ command before the present one stands for the motion it left. What acts late and
 `commands_in_force.py`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import log_map
+from swarmtwin.simulation.ensemble_dynamics import CrossFitted
 from swarmtwin.simulation.mechanism import Moment
 
 
@@ -48,6 +50,10 @@ class BaseTwists:
         roles: which of the commands stands in each place: (0, 1, 2), unless a command was lost and another goes on.
         clock_is_nominal: whether the model is told the nominal period whatever the measured one, since a mechanism
             accounts for the difference.
+        follows: (N,) index of the one of these N periods that came just before, of the same vehicle, −1 where it is not
+            among them: what a model that looks at commands alone answered there is not asked again. None: none is.
+        undisturbed: of the same periods, where commands may be others: what such a model answered to the same commands
+            there is not asked again either. None: not known.
     """
 
     dynamics: DynamicsModel
@@ -56,10 +62,25 @@ class BaseTwists:
     known: Answers = field(default_factory=Answers)
     roles: Sequence[int] = (0, 1, 2)
     clock_is_nominal: bool = False
+    follows: np.ndarray | None = None
+    undisturbed: "BaseTwists | None" = None
 
     def setting(self, place: int) -> Tensor:
         """Return the commands (N, m) in a place: 0 for the present one."""
         return self.commands[self.roles[place]]
+
+    def of_rows(self, rows: np.ndarray) -> "BaseTwists":
+        """Return it for some of the vehicles, nothing known of them yet."""
+        dynamics = self.dynamics.of_rows(rows) if isinstance(self.dynamics, CrossFitted) else self.dynamics
+        return replace(
+            self,
+            dynamics=dynamics,
+            moment=self.moment.of_rows(rows),
+            commands=[command[rows] for command in self.commands],
+            known=Answers(),
+            follows=None,
+            undisturbed=None,
+        )
 
     @property
     def has_momentum(self) -> bool:
@@ -117,9 +138,37 @@ class BaseTwists:
             before = now
         known = self.known.to_commands
         if (now, before) not in known:
-            earlier = before if now == before else min(before + 1, len(self.commands) - 1)
-            known[now, before] = self._ask(*(self.commands[index] for index in (now, before, earlier)))
+            by_commands = {"command", "previous_command"}.issuperset(self.dynamics.inputs)
+            known[now, before] = self._completed(now, before) if by_commands else self._asked(now, before)
         return known[now, before]
+
+    def _asked(self, now: int, before: int) -> Tensor:
+        earlier = before if now == before else min(before + 1, len(self.commands) - 1)
+        return self._ask(*(self.commands[index] for index in (now, before, earlier)))
+
+    def _completed(self, now: int, before: int) -> Tensor:
+        """Return what was answered to the same two commands elsewhere, and ask where they are not the same."""
+        commands = torch.cat([self.commands[now], self.commands[before]], dim=-1)
+        twist, is_new = torch.empty(len(commands), 3, dtype=torch.float64), torch.ones(len(commands), dtype=torch.bool)
+        for others, twists in self._answered(now, before):
+            same = is_new & (commands == others).all(dim=-1)
+            twist[same] = twists[same]
+            is_new &= ~same
+        if is_new.all():
+            return self._asked(now, before)
+        if is_new.any():
+            twist[is_new] = self.of_rows(is_new.nonzero()[:, 0].numpy())._asked(now, before)
+        return twist
+
+    def _answered(self, now: int, before: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield pairs of commands (N, 2 m) and what was answered to them, (N, 3)."""
+        if now and before and self.follows is not None:
+            rows = torch.as_tensor(np.maximum(self.follows, 0))
+            commands = torch.cat([self.commands[now - 1], self.commands[before - 1]], dim=-1)[rows]
+            yield commands, self._answer(now - 1, before - 1)[rows]
+        if self.undisturbed:
+            others = self.undisturbed.commands
+            yield torch.cat([others[now], others[before]], dim=-1), self.undisturbed._answer(now, before)
 
     def _ask(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
         return log_map(self._predicted(command, previous, earlier))

@@ -54,6 +54,16 @@ class Following(NamedTuple):
         targets = [old if end <= self.latency else new for end in self.ends]
         return self._relaxed(twists, supply, wheels, targets, self.added_lag)
 
+    def wheels_at_end(self, twists: BaseTwists, supply: Supply, wheels: ActuatorTwists) -> ActuatorTwists:
+        """Return the twists of wheels at the period's end alone: those that `wheels` comes to."""
+        new, old = supply(twists.steady(self.place)), supply(twists.steady(self.place + 1))
+        own_lag, (twist, undisturbed) = twists.moment.conditions.own_lag, wheels
+        for share, end in zip(self.shares, self.ends, strict=True):
+            target = old if end <= self.latency else new
+            twist = target + (twist - target) * left_over(share, own_lag + self.added_lag)[1]
+            undisturbed = new + (undisturbed - new) * left_over(share, own_lag)[1]
+        return ActuatorTwists(twist, undisturbed)
+
     def settings(
         self, twists: BaseTwists, supply: Supply, setting: Tensor, moving: ActuatorTwists
     ) -> tuple[list[Tensor], Tensor | None, ActuatorTwists]:

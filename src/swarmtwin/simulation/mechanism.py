@@ -140,6 +140,7 @@ class Mechanism(StrictModel, ABC):
         inputs: parts of the measured situation that a simulation with it must be shown beside the command; those of
             commands before, where it has memory or a delay.
         is_smooth: whether the motion changes gradually with the parameters.
+        is_arrival_alone: whether it decides that commands arrive and nothing else: known what arrived, it does nothing.
     """
 
     stage: ClassVar[Stage]
@@ -148,6 +149,7 @@ class Mechanism(StrictModel, ABC):
     parameters: ClassVar[Mapping[str, Parameter]]
     inputs: ClassVar[tuple[SituationPart, ...]] = ()
     is_smooth: ClassVar[bool] = True
+    is_arrival_alone: ClassVar[bool] = False
 
     name: str
 

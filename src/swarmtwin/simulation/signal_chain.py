@@ -30,7 +30,7 @@ class ActuatorMotion(NamedTuple):
     Attributes:
         pieces: shares of the period and the constant twists (N, 3) over them, in order.
         correction: (N, 3) to be added to the twist of the whole period; None: nothing.
-        end: (N, 3) twist at the period's end.
+        end: (N, 3) twist at the period's end, with which motion goes on where a mechanism follows the clock.
         memory: what is carried to the next period.
     """
 
@@ -71,12 +71,14 @@ def end_memory(
     mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory, place: int = 0
 ) -> dict[str, Tensor]:
     """Return what actuators remember at the end of the period of the command in a place, from what they did before."""
-    if set(memory) != FOLLOWING:
+    if not FOLLOWING.issuperset(memory):
         return actuator_motion(mechanisms, twists, place, memory).memory
     moment = replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
-    return _settings_at_end(
-        _following(mechanisms, moment, place), twists, partial(_supplied, mechanisms, moment), memory
-    )
+    following, supply = _following(mechanisms, moment, place), partial(_supplied, mechanisms, moment)
+    if SETTING in memory:
+        return _settings_at_end(following, twists, supply, memory)
+    moving = following.wheels_at_end(twists, supply, ActuatorTwists(memory[TWIST], memory[REFERENCE_TWIST]))
+    return {TWIST: moving.now, REFERENCE_TWIST: moving.undisturbed}
 
 
 def _settings_at_end(following: Following, twists: BaseTwists, supply: Supply, memory: Memory) -> dict[str, Tensor]:
@@ -96,8 +98,8 @@ def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: 
     if not carried:  # nothing late, gradual or with memory: the model's own answer
         response = supply(twists.response(place))
         pieces = [response] * len(following.ends)
-        knows_before = "previous_command" in twists.dynamics.inputs
-        end = supply(twists.steady(place)) if knows_before else response
+        goes_on = "previous_command" in twists.dynamics.inputs and _follow_clock(mechanisms)
+        end = supply(twists.steady(place)) if goes_on else response
     else:
         moving = ActuatorTwists(carried[TWIST], carried[REFERENCE_TWIST])
         if moment.robot.actuation.kind == "thrust":
@@ -123,10 +125,14 @@ def period_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: M
     displacement, end = _on_the_ground(mechanisms, motion, moment)
     if motion.correction is not None:
         displacement = exp_map(log_map(displacement) + motion.correction)
-    if any(mechanism.follows_clock() for mechanism in mechanisms):
+    if _follow_clock(mechanisms):
         more = moment.duration_s / moment.robot.period_s - 1
         displacement = compose(displacement, exp_map(end * more[:, None]))
     return PeriodMotion(_carried_along(mechanisms, displacement, moment), motion.memory)
+
+
+def _follow_clock(mechanisms: Sequence[Mechanism]) -> bool:
+    return any(mechanism.follows_clock() for mechanism in mechanisms)
 
 
 def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> Following:

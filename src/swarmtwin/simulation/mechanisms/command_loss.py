@@ -14,6 +14,7 @@ class Config(Mechanism):
     remedy: ClassVar = "check the radio link: range, interference, broker load"
     parameters: ClassVar = {"probability": Parameter(0.0, 0.9, 0.0, "", (0.02, 0.1, 0.3))}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
+    is_arrival_alone: ClassVar = True
 
     name: Literal["command_loss"] = "command_loss"
     probability: float

@@ -1,0 +1,61 @@
+"""Random effects are integrated out as the marginal covariance says, written down as one matrix."""
+
+import numpy as np
+import pytest
+
+from swarmtwin.diagnosis.random_effects import RandomEffects
+
+COUNT = 20
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(6)
+
+
+@pytest.fixture
+def weight(rng):
+    return rng.uniform(0.2, 1.0, COUNT)
+
+
+@pytest.fixture
+def directions(rng):
+    """Whitened, (3 N, 5)."""
+    return rng.normal(size=(3 * COUNT, 5))
+
+
+@pytest.fixture
+def covariance(directions, weight):
+    """(3 N, 3 N) of whitened errors, the effects of unit variance and those of weighted transitions wider."""
+    return np.diag(1 / np.repeat(weight, 3)) + directions @ directions.T
+
+
+@pytest.fixture(params=["at once", "extended"])
+def effects(request, directions, weight):
+    """All five directions at once, or two of them first."""
+    if request.param == "at once":
+        return RandomEffects.of(directions, weight)
+    return RandomEffects.of(directions[:, :2], weight).extended(directions[:, 2:4]).extended(directions[:, 4:])
+
+
+def test_products_are_those_by_the_marginal_covariance(effects, covariance, rng):
+    columns, errors = rng.normal(size=(3 * COUNT, 3)), rng.normal(size=3 * COUNT)
+    both = np.column_stack([columns, errors])
+    expected = both.T @ np.linalg.solve(covariance, both)
+    np.testing.assert_allclose(effects.gram(both), expected, atol=1e-10)
+    gram, side = effects.least_squares(columns, errors)
+    np.testing.assert_allclose(gram, expected[:3, :3], atol=1e-10)
+    np.testing.assert_allclose(side, expected[:3, 3], atol=1e-10)
+    np.testing.assert_allclose(columns.T @ effects.beyond(both), expected[:3], atol=1e-10)
+
+
+def test_sizes_are_the_posterior_mean(effects, directions, covariance, rng):
+    errors = rng.normal(size=(COUNT, 3))
+    expected = directions.T @ np.linalg.solve(covariance, errors.ravel())
+    np.testing.assert_allclose(effects.sizes(errors), expected, atol=1e-10)
+    np.testing.assert_allclose(effects.of_sizes(expected).ravel(), directions @ expected, atol=1e-10)
+
+
+def test_the_determinant_is_that_by_which_the_covariance_grows(effects, covariance, weight):
+    grown = np.linalg.slogdet(covariance)[1] + 3 * np.log(weight).sum()
+    assert np.isclose(effects.log_determinant, grown)
