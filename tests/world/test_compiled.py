@@ -10,8 +10,9 @@ from swarmtwin.geometry import displacement_between, log_map
 from swarmtwin.robot import Arena
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.world.compiled import fastest_motion
 from swarmtwin.world.compiled.table_motion import TableMotion
-from swarmtwin.world.motion import SimulatedMotion, fastest_motion
+from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.scenario import ScenarioSupply
 from swarmtwin.world.world import World
 
@@ -77,9 +78,7 @@ def test_a_large_group_measures_by_a_grid_what_the_formulas_say(vehicles, change
     crowd = {"separation_mm": 101, "reach_mm": 600, "margin_mm": 0, "vehicles": vehicles, **changes}
     task = task_named("collective", arena=Arena(x=(0, 2000), y=(-300, 1500)), **crowd)
     scenario, pose = crowded(task, 20, 3)
-    pose[0, :, 1] += np.random.default_rng(0).normal(
-        0, 5, vehicles
-    )  # no ties: a search tree takes any
+    pose[0, :, 1] += np.random.default_rng(0).normal(0, 5, vehicles)  # no ties: a search tree takes any
     check_equal(task.measure(scenario, pose), task.measure_compiled(scenario, pose))
 
 

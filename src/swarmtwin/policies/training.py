@@ -33,7 +33,8 @@ from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation_folder import load_simulation
-from swarmtwin.world.motion import SimulatedMotion, fastest_motion
+from swarmtwin.world.compiled import fastest_motion
+from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.rollout import play, roll_out
 from swarmtwin.world.task import Task, TaskConfig
 from swarmtwin.world.world import World

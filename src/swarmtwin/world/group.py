@@ -10,7 +10,7 @@ from swarmtwin.robot import Arena, Positive, Robot
 from swarmtwin.world import observations
 from swarmtwin.world.neighbours import others_nearer_than
 from swarmtwin.world.scenario import Scenario, draw_apart, room_for
-from swarmtwin.world.task import Measured, NotNegative, Task, TaskConfig
+from swarmtwin.world.task import Events, Measured, NotNegative, Task, TaskConfig
 
 
 class Group(Task):
@@ -61,7 +61,24 @@ class Group(Task):
         """Return the same as `measure`, by compiled code."""
         from swarmtwin.world.compiled import group  # numba takes a second to load
 
-        return group.measure(self, scenario, pose)
+        config, arena, scaling = self.config, self.arena, self.config.observation
+        numbers = group.Numbers.of(
+            (*arena.low_mm, *arena.high_mm),
+            config.sees_within_mm,
+            target=scaling.target_mm,
+            range=scaling.range_mm,
+            neighbour=scaling.neighbour_mm,
+            closeness=scaling.closeness_mm,
+            wall_closeness=scaling.wall_closeness_mm,
+            neighbour_near=config.neighbour_near_mm,
+            collision=config.collision_mm,
+            outside=config.outside_mm,
+            lost=self.lost_mm,
+        )
+        seen = group.look(pose, self.shown_place(scenario, pose), numbers, self.shown_others, config.sees_walls)
+        reward = self.reward_among(scenario, pose, seen.near_others)
+        events = Events(seen.collided, seen.outside, self.at_target(scenario, pose))
+        return Measured(seen.observation, reward, events, seen.lost)
 
     def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Two vehicles collide when their centres are nearer than `collision_mm` (the authors' code: 100 mm)."""

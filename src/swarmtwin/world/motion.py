@@ -153,19 +153,3 @@ def check_can_be_sampled(simulation: Simulation, sampled: bool | None) -> None:
             f"sampled=true: this simulation of {simulation.robot.name!r} does not know how much its motion varies: "
             "train its dynamics model anew, or leave it out"
         )
-
-
-def fastest_motion(
-    simulation: Simulation, worlds: int, vehicles: int, sampled: bool | None = None, seed: int = 0
-) -> CheckpointedMotion:
-    """Return what moves W · K vehicles as `SimulatedMotion` does, by compiled code where that can: a bare table.
-
-    What is drawn is of the same distribution, and not the same numbers.
-
-    Raises:
-        UserError: motion is to be drawn, and the simulation does not know of anything random.
-    """
-    from swarmtwin.world.compiled.table_motion import TableMotion, moves_by_table
-
-    kind = TableMotion if moves_by_table(simulation) else SimulatedMotion
-    return kind(simulation, worlds, vehicles, sampled, seed)

@@ -183,10 +183,14 @@ class Task(ABC):
 
         It has failed long before; its roll-out stops, so that nothing is learned from such places.
         """
-        arena = self.arena
-        far_mm = self.config.lost_share * min(arena.high_mm - arena.low_mm)
+        arena, far_mm = self.arena, self.lost_mm
         position = pose[..., :2]
         return np.any((position < arena.low_mm - far_mm) | (position > arena.high_mm + far_mm), axis=(1, 2))
+
+    @property
+    def lost_mm(self) -> float:
+        """How far outside the arena a vehicle is lost."""
+        return float(self.config.lost_share * min(self.arena.high_mm - self.arena.low_mm))
 
     def measure(self, scenario: Scenario, pose: np.ndarray) -> Measured:
         """Return observation, reward, events and who is lost, at once."""

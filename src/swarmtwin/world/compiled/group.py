@@ -7,13 +7,10 @@ import numpy as np
 
 from swarmtwin.compiled import compiled
 from swarmtwin.world.compiled import lanes
-from swarmtwin.world.group import Group
-from swarmtwin.world.scenario import Scenario
-from swarmtwin.world.task import Events, Measured
 
 
 class Numbers(NamedTuple):
-    """The numbers of a task's configuration, float32, in mm."""
+    """The numbers of a task's configuration, float32, in mm; `arena` is x and y of its low, then of its high corner."""
 
     arena: tuple[np.float32, np.float32, np.float32, np.float32]
     target: np.float32
@@ -27,39 +24,53 @@ class Numbers(NamedTuple):
     outside: np.float32
     lost: np.float32
 
+    @classmethod
+    def of(cls, arena: tuple[float, ...], within_mm: float | None, **others: float) -> "Numbers":
+        """Return them as float32; `within_mm` None: everybody is seen."""
+        low_x, low_y, high_x, high_y = (np.float32(end) for end in arena)
+        within = np.float32(1e30 if within_mm is None else within_mm)
+        values = {name: np.float32(value) for name, value in others.items()}
+        return cls((low_x, low_y, high_x, high_y), within=within, **values)
 
-def measure(task: Group, scenario: Scenario, pose: np.ndarray, all_pairs_up_to: int = 20) -> Measured:
-    """Return what `task.measure` does.
+
+class Seen(NamedTuple):
+    """What W worlds of K vehicles show.
+
+    Attributes:
+        observation: (W, K, o) float32.
+        near_others: (W, K) how many others are near.
+        collided: (W, K) whether another one is too near.
+        outside: (W, K) whether a vehicle is outside the arena.
+        lost: (W,) whether one is too far outside to go on.
+    """
+
+    observation: np.ndarray
+    near_others: np.ndarray
+    collided: np.ndarray
+    outside: np.ndarray
+    lost: np.ndarray
+
+
+def look(
+    pose: np.ndarray, place: np.ndarray, numbers: Numbers, shown: int, sees_walls: bool, all_pairs_up_to: int = 20
+) -> Seen:
+    """Return what vehicles at poses (W, K, 3) see, and what happens to them.
 
     Args:
-        task: a task of a group.
-        scenario: what is asked in W worlds.
-        pose: (W, K, 3) x_mm, y_mm, heading_rad.
+        pose: x_mm, y_mm, heading_rad.
+        place: (W, K, 2), or (W, 1, 2), that each is shown.
+        numbers: of the task.
+        shown: how many others, the nearest ones, each is shown.
+        sees_walls: whether it is shown the walls.
         all_pairs_up_to: in larger groups neighbours are looked for in a grid, whose effort does not grow with K².
     """
     shape = pose.shape[:2]
-    observation = np.empty((*shape, task.observation_size), np.float32)
-    near_others, lost = np.zeros(shape, np.int64), np.zeros(shape[0], bool)
-    collided, outside = np.zeros(shape, bool), np.zeros(shape, bool)
+    observation = np.empty((*shape, 5 + 5 * shown + 8 * sees_walls), np.float32)
+    flags = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape[0], bool)
+    seen = Seen(observation, np.zeros(shape, np.int64), *flags)
     kernel: Any = _compare_all if shape[1] <= all_pairs_up_to else _look_about
-    kernel(
-        *(np.ascontiguousarray(pose), np.ascontiguousarray(task.shown_place(scenario, pose)), _numbers(task)),
-        *(task.shown_others, task.config.sees_walls, observation, near_others, collided, outside, lost),
-    )
-    reward = task.reward_among(scenario, pose, near_others)
-    return Measured(observation, reward, Events(collided, outside, task.at_target(scenario, pose)), lost)
-
-
-def _numbers(task: Group) -> Numbers:
-    config, scaling = task.config, task.config.observation
-    far_mm = config.lost_share * min(task.arena.high_mm - task.arena.low_mm)
-    within_mm = 1e30 if config.sees_within_mm is None else config.sees_within_mm
-    values = (
-        *(scaling.target_mm, scaling.range_mm, scaling.neighbour_mm, scaling.closeness_mm, scaling.wall_closeness_mm),
-        *(config.neighbour_near_mm, config.collision_mm, within_mm, config.outside_mm, far_mm),
-    )
-    low_x, low_y, high_x, high_y = (np.float32(end) for end in (*task.arena.low_mm, *task.arena.high_mm))
-    return Numbers((low_x, low_y, high_x, high_y), *(np.float32(value) for value in values))
+    kernel(np.ascontiguousarray(pose), np.ascontiguousarray(place), numbers, shown, sees_walls, *seen)
+    return seen
 
 
 @compiled
