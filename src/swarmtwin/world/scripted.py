@@ -42,7 +42,7 @@ class LookAhead(StrictModel):
 
     @classmethod
     def of(cls, robot: Robot) -> "LookAhead":
-        """Return what suits a robot: one that is pushed through water glides on, so it keeps off and rests once there."""
+        """Return what suits a robot: one that swims glides on, so it keeps off further and rests once there."""
         if robot.actuation.kind == "thrust":
             return cls(arrived=0.9, inward=0.0, margin_steps=1.0)
         return cls()
