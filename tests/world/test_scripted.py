@@ -13,14 +13,15 @@ from swarmtwin.world.scripted import ScriptedPolicy, candidate_commands, nominal
 
 
 def unlike_nominal(robot, seed, spread=0.15):
-    """A simulation by the robot's kinematics whose every parameter is off by some 15 %; fins turn the usual way."""
+    """A simulation by the robot's kinematics whose every parameter is off its nominal value by some 15 %."""
     simulation = simulation_of(robot, "kinematic")
-    rng = np.random.default_rng(seed)
-    free = next(module.free for module in simulation.dynamics.modules() if hasattr(module, "free"))
+    model = next(module for module in simulation.dynamics.modules() if hasattr(module, "free"))
+    nominal, rng = robot.kinematic_equations().nominal_values(robot), np.random.default_rng(seed)
     with torch.no_grad():
-        for name, parameter in free.items():
-            usual = 1.0 if name == "turn_rad_s" else 0.0
-            parameter.fill_(usual + rng.normal(0, spread))
+        for name, parameter in model.parameters_by_name.items():
+            ratio = nominal[name] / parameter.size
+            usual = ratio if parameter.signed else np.log(max(ratio, 1e-3))
+            model.free[name].fill_(usual + rng.normal(0, spread))
     return simulation
 
 

@@ -41,8 +41,10 @@ class Equations(KinematicEquations):
         }
 
     def nominal_values(self, robot: DrivenRobot) -> Mapping[str, float]:
-        """Let a positive mean angle turn the vehicle to the left, as with every steering."""
-        return {**super().nominal_values(robot), "turn_rad_s": self.parameters(robot)["turn_rad_s"].size}
+        """Let the strongest beat move and turn it as far as is believable, to the left at a positive mean angle."""
+        forward_mm, _, turn_rad = robot.displacement_limit.tolist()
+        strongest = {"push_mm_s": forward_mm / robot.period_s, "turn_rad_s": turn_rad / robot.period_s}
+        return {**super().nominal_values(robot), **strongest}
 
     def velocities(
         self, command: Tensor, values: Mapping[str, Tensor], robot: DrivenRobot

@@ -14,7 +14,7 @@ import torch
 
 from swarmtwin.geometry import integrate_twist
 from swarmtwin.robot import Positive, Robot, StrictModel
-from swarmtwin.world.task import Task
+from swarmtwin.world.task import Count, NotNegative, Task
 
 
 class LookAhead(StrictModel):
@@ -23,19 +23,29 @@ class LookAhead(StrictModel):
     Attributes:
         periods: how long a command is imagined to be held.
         candidates: about how many commands are compared.
-        arrived: within this share of the reach of the place sought, there is no reason to go nearer.
+        arrived: within this share of the reach of the place sought, there is little reason to go nearer.
+        inward: what a mm from the place sought costs there, against 1 further away: little enough to keep off others,
+            and enough to let those in who come later.
         margin_steps: how much room is kept to others beyond touching them, in steps at full speed; who moves keeps one
             step of its own more.
         crowding: what coming nearer than that costs, per mm, against 1 per mm from the place sought.
         effort: what a command at its limits costs, in mm: of two equal ones the smaller is taken.
     """
 
-    periods: int = 6
-    candidates: int = 100
-    arrived: Positive = 0.4
+    periods: Count = 6
+    candidates: Count = 100
+    arrived: Positive = 0.8
+    inward: NotNegative = 0.1
     margin_steps: Positive = 0.4
     crowding: Positive = 10.0
     effort: Positive = 2.0
+
+    @classmethod
+    def of(cls, robot: Robot) -> "LookAhead":
+        """Return what suits a robot: one that swims glides on, so it keeps off further and rests once there."""
+        if robot.actuation.kind == "thrust":
+            return cls(arrived=0.9, inward=0.0, margin_steps=1.0)
+        return cls()
 
 
 class ScriptedPolicy:
@@ -55,7 +65,7 @@ class ScriptedPolicy:
             UserError: the task shows no place to go to, or the robot's file names no kinematics.
         """
         self.task = task
-        self.settings = settings or LookAhead()
+        self.settings = settings or LookAhead.of(task.robot)
         names = task.observation_names
         if "target_forward" not in names:
             raise task.refusal("its vehicles see no place to go to: there is no scripted policy", "learn one")
@@ -89,7 +99,8 @@ class ScriptedPolicy:
         for centre, radius_mm in self._obstacles(seen):
             place = _around(place, centre, radius_mm + self._body_mm + self._room_mm)
         away_mm = _distance_mm(self.paths, place)
-        return np.asarray(np.maximum(away_mm - enough_mm, 0.0).mean(axis=2))
+        cost = np.maximum(away_mm - enough_mm, 0.0) + self.settings.inward * np.minimum(away_mm, enough_mm)
+        return np.asarray(cost.mean(axis=2))
 
     def _neighbour_cost(self, seen: np.ndarray) -> np.ndarray:
         """Return by how much the candidates lead too near to where others are now, (n, N) mm."""
