@@ -110,7 +110,7 @@ def test_tensors_and_arrays_agree_and_tensors_carry_gradients():
 
 @pytest.mark.parametrize("kind", [np.asarray, torch.as_tensor])
 def test_an_arc_is_as_exact_when_it_hardly_turns(kind):
-    """Ahead by sin(a)/a and to the left by (1 − cos a)/a, by their series where the turn is small; 0 is no exception."""
+    """Ahead by sin(a)/a and to the left by (1 − cos a)/a, by their series where the turn is small, or 0."""
     turn = np.array([0.0, 1e-300, -1e-12, 1e-5, -1e-3])
     moved = np.asarray(exp_map(kind(np.stack([np.ones(5), np.zeros(5), turn], axis=-1))))
     np.testing.assert_allclose(moved[:, 0], 1 - turn**2 / 6, rtol=1e-12)
@@ -119,4 +119,5 @@ def test_an_arc_is_as_exact_when_it_hardly_turns(kind):
 
 def test_the_slope_of_an_arc_is_known_where_it_is_straight():
     twist = torch.tensor([[10.0, 2.0, 0.0]], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(exp_map, (twist,)) and torch.autograd.gradcheck(log_map, (twist,))
+    assert torch.autograd.gradcheck(exp_map, (twist,))
+    assert torch.autograd.gradcheck(log_map, (twist,))

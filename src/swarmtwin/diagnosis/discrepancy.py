@@ -51,22 +51,22 @@ class Discrepancy:
 
     def expected(self, model: SessionErrors) -> tuple[np.ndarray, np.ndarray]:
         """Return the errors (N, 3) to be expected in a session, and directions (N, 3, q) of their uncertainty."""
-        columns = functions(model, self.mechanisms) / self.size
+        columns = functions(model, self.mechanisms)
+        columns /= self.size
         return columns @ self.mean, columns @ self.root
 
 
 def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
     """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected."""
     smooth = np.column_stack([smooth_functions(model.session), _local_functions(model.session)])
-    spread = model.usual_spread
-    columns = []
+    count = 3 * smooth.shape[1]
+    columns = np.zeros((len(smooth), 3, count + len(mechanisms)))
     for axis in range(3):
-        for function in smooth.T:
-            own = np.zeros_like(spread)
-            own[:, axis] = spread[:, axis] * function
-            columns.append(own)
-    columns += [model.changes_of(model.predictor.twist((mechanism,))) for mechanism in mechanisms]
-    return np.stack(columns, axis=-1)
+        first = axis * smooth.shape[1]
+        columns[:, axis, first : first + smooth.shape[1]] = model.usual_spread[:, axis : axis + 1] * smooth
+    for number, mechanism in enumerate(mechanisms):
+        columns[..., count + number] = model.changes_of(model.predictor.twist((mechanism,)))
+    return columns
 
 
 def _local_functions(session: MeasuredSession, count: int = 24, waves: float = 4.0) -> np.ndarray:

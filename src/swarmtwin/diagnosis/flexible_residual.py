@@ -108,12 +108,14 @@ class FlexibleResidual:
 
     def _cross_fitted(self, columns: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Return (N,) ridge regressions' answers, each fold's by the others; of a few ridges those of the best."""
-        weighted = columns * weight[:, None]
+        root = np.sqrt(weight)
+        weighted, aim = columns * root[:, None], target * root
         grams, sides = [], []
         for fold in range(self.settings.folds):
             own = self.fold == fold
-            grams.append(weighted[own].T @ columns[own])
-            sides.append(weighted[own].T @ target[own])
+            part = weighted[own]
+            grams.append(part.T @ part)
+            sides.append(part.T @ aim[own])
         gram, side = sum(grams), sum(sides)
         mean = float(np.trace(gram)) / len(gram)
         best, least = np.zeros(len(target)), float(weight @ target**2)

@@ -122,7 +122,8 @@ class SessionLikelihood(SessionErrors):
         """Random effects without any mechanism: of units first."""
         columns = [*unit_effects(self), *simulation_effects(self)]
         together = np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
-        return RandomEffects.of(self._whitened(np.concatenate([together, self.discrepancy[1]], axis=-1)), self.weight)
+        own = RandomEffects.of(self._whitened(together), self.weight)
+        return own.extended(self._whitened(self.discrepancy[1]))
 
     @cached_property
     def _unit_effects_where_lost(self) -> np.ndarray:
