@@ -79,7 +79,7 @@ class NetworkDynamics(DynamicsModule):
         batch_size: the most situations that `predict` passes through the network at a time.
     """
 
-    batch_size: int = 8192
+    batch_size: int = 2048
 
     def __init__(self, robot: Robot, config: ModelConfig) -> None:
         super().__init__()
