@@ -10,8 +10,10 @@ from swarmtwin.configuration import config_files
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.robot import Arena, Robot
+from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
+from swarmtwin.world.compiled import fastest_motion
 from swarmtwin.world.motion import Motion, SimulatedMotion
 from swarmtwin.world.task import Task, task_config
 from swarmtwin.world.world import Step, World
@@ -20,7 +22,14 @@ Moved = Motion | Simulation | Path | str
 """What moves the vehicles: a motion, a simulation, or the folder of one, as train or a diagnosis leaves it."""
 
 
-def open_world(task: Task | str, moved: Moved, worlds: int = 1, seed: int = 0) -> World:
+def open_world(
+    task: Task | str,
+    moved: Moved,
+    worlds: int = 1,
+    seed: int = 0,
+    compiled: bool = False,
+    table: TableSettings | None = None,
+) -> World:
     """Return the worlds of a task.
 
     Args:
@@ -28,18 +37,23 @@ def open_world(task: Task | str, moved: Moved, worlds: int = 1, seed: int = 0) -
         moved: what moves them; a motion is of `worlds` and of the task's vehicles.
         worlds: how many there are side by side, W.
         seed: of the scenarios, and of what a simulation draws.
+        compiled: take compiled code where there is some, which pays for many worlds: numba takes a second to load.
+        table: of the displacements of a simulation, by which vehicles move instead; None: the simulation moves them.
 
     Raises:
-        UserError: there is no such task or model, or the motion is of another robot, or of other worlds or vehicles.
+        UserError: there is no such task or model, or the motion is of another robot, or of other worlds or vehicles; or
+            the simulation cannot be tabulated, or not well enough.
     """
     if worlds < 1:
         raise UserError(f"{worlds} worlds: ask for 1 or more")
     if isinstance(moved, Path | str):
         moved = load_simulation(Path(moved))
     if not isinstance(moved, Simulation):
-        return World(_built(task, moved.robot), moved, worlds, seed)
+        return World(_built(task, moved.robot), moved, worlds, seed, compiled)
     built = _built(task, moved.robot, moved.conditions.arena_mm)
-    return World(built, SimulatedMotion(moved, worlds, built.vehicles, seed=seed), worlds, seed)
+    simulation = moved if table is None else tabulated(moved, table)
+    motion_of = fastest_motion if compiled else SimulatedMotion
+    return World(built, motion_of(simulation, worlds, built.vehicles, seed=seed), worlds, seed, compiled)
 
 
 def _built(task: Task | str, robot: Robot, arena: Arena | None = None) -> Task:

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from swarmtwin.simulation.displacement_table import TableSettings
 from swarmtwin.world.interface import Moved, commands_of, open_world
 from swarmtwin.world.task import Task
 from swarmtwin.world.world import World
@@ -33,7 +34,13 @@ class TorchStep(NamedTuple):
 
 
 def torch_world(
-    task: Task | str, motion: Moved, worlds: int = 1, seed: int = 0, device: torch.device | str = "cpu"
+    task: Task | str,
+    motion: Moved,
+    worlds: int = 1,
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+    compiled: bool = True,
+    table: TableSettings | None = None,
 ) -> "TorchWorld":
     """Return the W worlds of a task, whose vehicles are moved by `motion`.
 
@@ -44,11 +51,14 @@ def torch_world(
         worlds: how many there are side by side, W.
         seed: of the scenarios.
         device: where the tensors lie that are returned; the simulation computes wherever it lies itself.
+        compiled: take compiled code where there is some: the same to rounding, and what is drawn likewise.
+        table: of a simulation's displacements, by which vehicles move instead, for less time; None: the simulation.
 
     Raises:
-        UserError: there is no such task or model, or the motion is of another robot, or of other worlds.
+        UserError: there is no such task or model, or the motion is of another robot, or of other worlds; or the
+            simulation cannot be tabulated, or not well enough.
     """
-    return TorchWorld(open_world(task, motion, worlds, seed), device)
+    return TorchWorld(open_world(task, motion, worlds, seed, compiled, table), device)
 
 
 class TorchWorld:
@@ -72,9 +82,13 @@ class TorchWorld:
             self.world.reseed(seed)
         return self._tensor(self.world.reset())
 
-    def restart(self, worlds: Tensor) -> Tensor:
-        """Start the worlds of a mask (W,) in new scenarios, leave the others; return the observation (W, K, o)."""
-        return self._tensor(self.world.restart(worlds.cpu().numpy()))
+    def restart(self, worlds: Tensor, observation: Tensor | None = None) -> Tensor:
+        """Start the worlds of a mask (W,) in new scenarios, leave the others; return the observation (W, K, o).
+
+        Where the last step's observation is given, on the CPU, it is only written over where worlds start anew.
+        """
+        shared = None if observation is None or observation.is_cuda else observation.numpy()
+        return self._tensor(self.world.restart(worlds.cpu().numpy(), shared))
 
     def step(self, command: Tensor) -> TorchStep:
         """Hold commands (W, K, m), in the robot's units, for one period; those beyond the limits are cut to them.

@@ -10,6 +10,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from swarmtwin.simulation.displacement_table import TableSettings
 from swarmtwin.world.interface import Moved, command_space, commands_of, observation_space, open_world
 from swarmtwin.world.task import Task
 from swarmtwin.world.world import Step, World
@@ -17,7 +18,14 @@ from swarmtwin.world.world import Step, World
 Infos = dict[str, Any]
 
 
-def vector_env(task: Task | str, motion: Moved, worlds: int = 1, seed: int = 0) -> "SwarmVectorEnv":
+def vector_env(
+    task: Task | str,
+    motion: Moved,
+    worlds: int = 1,
+    seed: int = 0,
+    compiled: bool = True,
+    table: TableSettings | None = None,
+) -> "SwarmVectorEnv":
     """Return the environment of a task in W worlds side by side, whose W · K vehicles are moved by `motion`.
 
     Args:
@@ -26,11 +34,14 @@ def vector_env(task: Task | str, motion: Moved, worlds: int = 1, seed: int = 0) 
             it.
         worlds: how many there are side by side, W.
         seed: of the scenarios.
+        compiled: take compiled code where there is some: the same to rounding, and what is drawn likewise.
+        table: of a simulation's displacements, by which vehicles move instead, for less time; None: the simulation.
 
     Raises:
-        UserError: there is no such task or model, or the motion is of another robot, or of other worlds.
+        UserError: there is no such task or model, or the motion is of another robot, or of other worlds; or the
+            simulation cannot be tabulated, or not well enough.
     """
-    return SwarmVectorEnv(open_world(task, motion, worlds, seed))
+    return SwarmVectorEnv(open_world(task, motion, worlds, seed, compiled, table))
 
 
 class SwarmVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
