@@ -71,7 +71,7 @@ def policy_job(simulation, task="obstacle", algorithm=None, seed=1, checkpoint=N
     """A job of the MGR in a simulation's folder."""
     algorithm = algorithm or small("ddpg")
     task = task_named(task) if isinstance(task, str) else task
-    schedule = Schedule(steps=algorithm.steps, evaluate_every=every, scenes=scenes)
+    schedule = Schedule(steps=algorithm.steps, evaluate_every=every, scenes=scenes, final_scenes=2 * scenes)
     return PolicyJob(robot_named("mgr"), task, algorithm, schedule, simulation, "digest", seed, checkpoint)
 
 

@@ -11,6 +11,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.policies import training
 from swarmtwin.policies.algorithm import algorithm_config
 from swarmtwin.policies.checkpoint import read_checkpoint
+from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.policies.training import Learner, best_of, learn_all, policy_of, task_in
 from swarmtwin.robot import Arena
@@ -18,6 +19,8 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
+from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.rollout import play
 from swarmtwin.world.tasks.obstacle import Obstacle
 from tiny_policies import ALGORITHMS, algorithm_named, policy_job, robot_named, simulation, small, task_named
 
@@ -197,8 +200,21 @@ def test_a_seed_that_diverges_is_flagged_and_the_others_go_on(folder, caplog):
 
 
 def test_the_best_policy_is_kept_and_not_the_last(folder):
-    result = policy_job(folder, task_named("obstacle", **EASY), quick(steps=300), every=50, scenes=20).run(None)
-    assert result.best == max(result.history, key=lambda evaluation: (evaluation.success, evaluation.reward))
+    job = policy_job(folder, task_named("obstacle", **EASY), quick(steps=300), every=50, scenes=20)
+    learner = Learner(job)
+    result = learner.learn(None)
+    ranked = sorted(result.history, key=lambda evaluation: evaluation.rank, reverse=True)
+    assert [finalist.evaluation for finalist in learner.finalists] == ranked[:3]
+    scenarios = draw_scenarios(learner.task, 40, "evaluation", seed=1)
+    final = {}
+    for evaluation, weights in learner.finalists:
+        policy = Policy.with_weights(job.robot, learner.task.observation_names, job.algorithm.architecture, weights)
+        rollout = play(learner.task, SimulatedMotion(learner.simulation, 40, 1), scenarios, policy.act)
+        final[evaluation.step] = (rollout.success.mean(), pytest.approx(rollout.mean_reward.mean(), abs=1e-3))
+        if evaluation.step == result.best.step:
+            assert all(np.array_equal(result.weights[name], values) for name, values in weights.items())
+    assert (result.best.success, result.best.reward) == final[result.best.step]
+    assert result.best.success == max(success for success, _ in final.values())
 
 
 def test_seeds_side_by_side_are_the_same_as_in_turn(folder):

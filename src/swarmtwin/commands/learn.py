@@ -1,5 +1,6 @@
 """`swarmtwin learn`: a policy is learned in the simulated world, tracked and registered; a better one challenges."""
 
+import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,8 +17,9 @@ from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.learned_folder import origin_of, save_learned
 from swarmtwin.policies.policy_folder import PolicyProvenance, StoredPolicy, load_policy
 from swarmtwin.policies.reward_plots import draw_learning
-from swarmtwin.policies.rollout_comparison import draw_scenarios
+from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.training import (
+    LearningReport,
     PolicyJob,
     Schedule,
     SeedResult,
@@ -32,7 +34,7 @@ from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.gate import Trials, judge_challenging_policy
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.world.motion import SimulatedMotion
-from swarmtwin.world.rollout import NEVER, play
+from swarmtwin.world.rollout import NEVER, Rate, play
 from swarmtwin.world.task import Task, task_config
 
 
@@ -45,6 +47,8 @@ class Options(StrictModel):
     simulation: str | None
     evaluate_every: Annotated[int, Field(ge=1)]
     scenes: Annotated[int, Field(ge=1)]
+    finalists: Annotated[int, Field(ge=1)]
+    final_scenes: Annotated[int, Field(ge=1)]
     sampled: bool | None
     tabulated: bool | None
     table: TableSettings
@@ -82,7 +86,7 @@ def run(options: Options) -> dict[str, Any]:
         started = time.monotonic()
         jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS)
         with training_bars(name, algorithm.steps) as report:
-            results = learn_all(jobs, report)
+            results = learn_all(jobs, _tracking(tracked, report))
         provenance = save_learned(folder, task, jobs[0], results, origin)
         if options.pictures:
             draw_learning(folder, folder)
@@ -96,6 +100,7 @@ def run(options: Options) -> dict[str, Any]:
             version = registry.register(f"{options.robot.name}-policy", folder, kept, tracked.run_id, tags)
             registered = _challenge(options, version, folder, task, simulation)
     Console().print(_table(name, provenance))
+    Console().print(_how_good(output), highlight=False, soft_wrap=True)
     if table:
         off = f"{table.position_mm:.2g} mm and {table.heading_deg:.2g}° off it (99 % of random commands)"
         told = f"learned in a table of the simulation, {off}; tabulated=false: in the simulation itself"
@@ -148,7 +153,13 @@ def _challenge(options: Options, version: registry.Version, output: Path, task: 
 def _jobs(
     options: Options, task: Task, algorithm: AlgorithmConfig, simulation: Path, digest: str, checkpoints: Path
 ) -> list[PolicyJob]:
-    schedule = Schedule(steps=algorithm.steps, evaluate_every=options.evaluate_every, scenes=options.scenes)
+    schedule = Schedule(
+        steps=algorithm.steps,
+        evaluate_every=options.evaluate_every,
+        scenes=options.scenes,
+        finalists=options.finalists,
+        final_scenes=options.final_scenes,
+    )
     return [
         PolicyJob(
             robot=options.robot,
@@ -168,6 +179,20 @@ def _jobs(
     ]
 
 
+def _tracking(tracked: TrackedRun, report: LearningReport) -> LearningReport:
+    """Return a report that also keeps each seed's evaluations with the run, as soon as they are there."""
+    kept: dict[int, int] = {}
+
+    def report_and_track(seed: int, done: int, latest: Evaluation | None) -> None:
+        report(seed, done, latest)
+        if latest and latest.step > kept.get(seed, 0):
+            kept[seed] = latest.step
+            figures = {f"seed_{seed}_success": latest.success, f"seed_{seed}_reward": latest.reward}
+            tracked.metrics(figures, latest.step)
+
+    return report_and_track
+
+
 def _track(tracked: TrackedRun, results: Sequence[SeedResult], provenance: PolicyProvenance, seconds: float) -> None:
     tracked.metrics(_evaluation(provenance))
     tracked.metrics({"training_s": seconds, "failed_seeds": sum(result.failed is not None for result in results)})
@@ -181,10 +206,21 @@ def _evaluation(provenance: PolicyProvenance) -> dict[str, float]:
     return {f"evaluation_{name}": figure for name, figure in provenance.evaluation.model_dump(exclude={"step"}).items()}
 
 
+def _how_good(output: Path) -> str:
+    """Say how good the policy is in scenarios by which nothing was chosen."""
+    test = json.loads((output / "metrics.json").read_text())["test"]
+    told = []
+    for name in ("success", "collision", "left_arena"):
+        rate = Rate(**test[name])
+        share = f"{100 * rate.value:.1f} % ({100 * rate.low:.1f} to {100 * rate.high:.1f})"
+        told.append(f"{name.replace('_', ' ')} {share}")
+    reward = test["reward"]
+    told.append(f"reward {reward['mean']:.2f} ± {reward['sd']:.2f}")
+    return f"the policy in {test['rollouts']} new scenarios: {', '.join(told)}"
+
+
 def _table(name: str, provenance: PolicyProvenance) -> Table:
-    table = Table(
-        "seed", "success", "reward", "collisions", "best step", "", title=f"{name}: in the evaluation scenarios"
-    )
+    table = Table("seed", "success", "reward", "collisions", "best step", "", title=f"{name}: in the final scenarios")
     for outcome in provenance.seeds:
         remark = f"failed: {outcome.failed}" if outcome.failed else ""
         if outcome.seed == provenance.seed:

@@ -18,7 +18,10 @@ from joblib.externals.loky.backend.context import set_start_method
 
 from swarmtwin.errors import UserError
 
-PACKAGES = ("torch", "torch._dynamo", "lightning", "pandas", "scipy.optimize", "scipy.stats", "stable_baselines3")
+PACKAGES = (
+    *("torch", "torch._dynamo", "lightning", "pandas", "scipy.optimize", "scipy.stats", "stable_baselines3"),
+    *("numba", "numba.np.arraymath", "numba.np.npyimpl"),
+)
 """What most jobs import."""
 
 Result = TypeVar("Result", covariant=True)

@@ -10,12 +10,15 @@ from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.files import folder_digest, write_text
 from swarmtwin.policies.policy_folder import PolicyProvenance, SeedOutcome, SimulationOrigin, save_policy
+from swarmtwin.policies.rollout_comparison import plain_figures
 from swarmtwin.policies.training import (
     PolicyJob,
     SeedResult,
     best_of,
     policy_of,
+    tested,
 )
+from swarmtwin.world.rollout import figures_of
 from swarmtwin.world.task import Task
 
 
@@ -34,7 +37,10 @@ def origin_of(source: str, simulation: Path) -> SimulationOrigin:
 def save_learned(
     folder: Path, task: Task, job: PolicyJob, results: Sequence[SeedResult], origin: SimulationOrigin
 ) -> PolicyProvenance:
-    """Save the best seed's policy, the evaluations of all seeds and how they learned; return where it comes from."""
+    """Save the best seed's policy, the evaluations of all seeds and how they learned; return where it comes from.
+
+    `metrics.json` says how good the policy is, with intervals, in scenarios by which nothing was chosen.
+    """
     best = best_of(results)
     outcomes = [SeedOutcome(seed=result.seed, best=result.best, failed=result.failed) for result in results]
     provenance = PolicyProvenance(
@@ -44,8 +50,10 @@ def save_learned(
         seed=best.seed,
         seeds=tuple(outcomes),
     )
-    save_policy(folder, policy_of(task, job.algorithm, best), task.config, task.arena, provenance)
+    policy = policy_of(task, job.algorithm, best)
+    save_policy(folder, policy, task.config, task.arena, provenance)
     metrics = {
+        "test": plain_figures(figures_of(tested(task, job, policy))),
         "evaluation": provenance.evaluation.model_dump(),
         "seeds": {str(outcome.seed): outcome.best.model_dump() if outcome.best else None for outcome in outcomes},
     }

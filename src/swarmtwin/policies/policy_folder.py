@@ -49,7 +49,7 @@ class PolicyProvenance(StrictModel):
         simulation: the model it was learned in.
         algorithm: how it was learned, all values.
         schedule: how long, and how it was evaluated.
-        seed: the seed chosen, best in the evaluation scenarios.
+        seed: the seed chosen, best in the final scenarios.
         seeds: what came of each.
     """
 
@@ -61,7 +61,7 @@ class PolicyProvenance(StrictModel):
 
     @property
     def evaluation(self) -> Evaluation:
-        """How good the policy was in the evaluation scenarios."""
+        """How good the policy was in the final scenarios."""
         best = next(outcome for outcome in self.seeds if outcome.seed == self.seed).best
         assert best is not None
         return best

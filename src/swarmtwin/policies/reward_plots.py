@@ -26,6 +26,8 @@ def draw_learning(made: Path, output: Path) -> None:
 def history_figure(history: pd.DataFrame, best: Mapping[str, Mapping[str, Any] | None]) -> Figure:
     """Draw success, collisions and reward of every seed in the evaluation scenarios; a dot marks the policy kept.
 
+    The dot says how that one did in the final scenarios.
+
     Args:
         history: history.csv, a row for each evaluation of each seed.
         best: by seed the evaluation of the policy kept; None for none.

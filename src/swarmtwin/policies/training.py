@@ -32,10 +32,12 @@ from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
+from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.world.compiled import fastest_motion
 from swarmtwin.world.motion import SimulatedMotion
-from swarmtwin.world.rollout import play, roll_out
+from swarmtwin.world.rollout import Rollout, play, roll_out
+from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task, TaskConfig
 from swarmtwin.world.world import World
 
@@ -54,11 +56,16 @@ class Schedule(StrictModel):
         steps: control periods of all worlds.
         evaluate_every: control periods from one evaluation and checkpoint to the next.
         scenes: scenarios in which each evaluation rolls the policy out, the same ones for every seed.
+        finalists: how many of a seed's policies, those that did best in an evaluation, are rolled out once more in the
+            end: who was best of many in few scenarios was lucky as well.
+        final_scenes: the scenarios in which, again the same ones for every seed.
     """
 
     steps: Count
     evaluate_every: Count
     scenes: Count
+    finalists: Count = 3
+    final_scenes: Count = 500
 
 
 class SeedResult(NamedTuple):
@@ -67,8 +74,8 @@ class SeedResult(NamedTuple):
     Attributes:
         seed: the seed.
         history: the evaluations.
-        weights: of the best policy, by name; the best is that of most success, then of the highest reward.
-        best: its evaluation; None where training diverged before the first.
+        weights: of the best policy, by name; of the finalists, that of most success, then of the highest reward.
+        best: how it did in the final scenarios; None where training diverged before the first evaluation.
         failed: why the policy cannot be used; None for one that can.
     """
 
@@ -140,8 +147,7 @@ class Learner:
         self.algorithm.set_logger(Logger(folder=None, output_formats=[]))
         self.scenarios = draw_scenarios(self.task, job.schedule.scenes, "evaluation", seed=0)
         self.history: list[Evaluation] = []
-        self.best: Evaluation | None = None
-        self.weights: dict[str, torch.Tensor] = {}
+        self.finalists: list[_Candidate] = []
         self.diverged = False
 
     @property
@@ -164,8 +170,10 @@ class Learner:
         while not self.diverged and self.steps_done < self.job.schedule.steps:
             self._train_until_next_evaluation(report)
             self._write_checkpoint()
-        weights = {name: tensor.numpy().copy() for name, tensor in self.weights.items()}
-        return SeedResult(self.job.seed, tuple(self.history), weights, self.best, self._why_failed())
+        best = self._best_finalist()
+        weights = {name: tensor.numpy().copy() for name, tensor in best.weights.items()} if best else {}
+        failed = self._why_failed(best)
+        return SeedResult(self.job.seed, tuple(self.history), weights, best.evaluation if best else None, failed)
 
     def scale_rewards(self) -> None:
         """Scale rewards by those of random play (as the authors' code does); let critics begin with its value."""
@@ -198,22 +206,36 @@ class Learner:
     def _evaluate(self) -> None:
         """Roll the policy out from the evaluation scenarios; what is drawn there is the same every time."""
         policy = self.policy
-        motion = fastest_motion(self.simulation, len(self.scenarios), self.task.vehicles, self.job.sampled, seed=0)
-        played = play(self.task, motion, self.scenarios, policy.act, compiled=True)
-        evaluation = Evaluation.of(self.steps_done, played)
+        evaluation = self._rolled_out(policy, self.steps_done, self.scenarios)
         self.history.append(evaluation)
-        if self.best is None or evaluation.rank > self.best.rank:
-            self.best = evaluation
-            self.weights = dict(policy.state_dict())
+        candidates = [*self.finalists, _Candidate(evaluation, dict(policy.state_dict()))]
+        candidates.sort(key=lambda candidate: candidate.evaluation.rank, reverse=True)
+        self.finalists = candidates[: self.job.schedule.finalists]
+
+    def _best_finalist(self) -> "_Candidate | None":
+        """Return the finalist that does best in the final scenarios, with how it does there."""
+        scenarios = draw_scenarios(self.task, self.job.schedule.final_scenes, "evaluation", seed=1)
+        rolled_out = [
+            _Candidate(self._rolled_out(self._with(weights), evaluation.step, scenarios), weights)
+            for evaluation, weights in self.finalists
+        ]
+        return max(rolled_out, key=lambda candidate: candidate.evaluation.rank, default=None)
+
+    def _with(self, weights: dict[str, torch.Tensor]) -> Policy:
+        architecture = self.job.algorithm.architecture
+        return Policy.with_weights(self.job.robot, self.task.observation_names, architecture, weights)
+
+    def _rolled_out(self, policy: Policy, step: int, scenarios: Scenario) -> Evaluation:
+        return Evaluation.of(step, roll_out_in(self.simulation, self.task, policy, scenarios, self.job.sampled))
 
     def _is_finite(self) -> bool:
         return all(bool(weights.isfinite().all()) for weights in self.policy.parameters())
 
-    def _why_failed(self) -> str | None:
+    def _why_failed(self, best: "_Candidate | None") -> str | None:
         if self.diverged:
             return "its weights were no longer finite"
-        if self.best is not None and self.best.success == 0:
-            return "it never succeeded in the evaluation scenarios"
+        if best is not None and best.evaluation.success == 0:
+            return "it never succeeded in the final scenarios"
         return None
 
     def _continue(self) -> bool:
@@ -222,8 +244,8 @@ class Learner:
         if not kept:
             return False
         self.history = [Evaluation(**evaluation) for evaluation in kept["history"]]
-        self.best = Evaluation(**kept["best"]) if kept["best"] else None
-        self.weights, self.diverged = kept["weights"], kept["diverged"]
+        self.finalists = [_Candidate(Evaluation(**evaluation), weights) for evaluation, weights in kept["finalists"]]
+        self.diverged = kept["diverged"]
         self.env.reward_scale = kept["reward_scale"]
         self.motion.restore(unpack(kept["motion"]))
         self.env.world.restore(unpack(kept["world"]))
@@ -236,8 +258,7 @@ class Learner:
         content: dict[str, Any] = {
             "identity": self.job.identity,
             "history": [evaluation.model_dump() for evaluation in self.history],
-            "best": self.best.model_dump() if self.best else {},
-            "weights": self.weights,
+            "finalists": [(evaluation.model_dump(), weights) for evaluation, weights in self.finalists],
             "diverged": self.diverged,
             "reward_scale": self.env.reward_scale,
             "motion": pack(self.motion.state()),
@@ -245,6 +266,21 @@ class Learner:
             "algorithm": algorithm_state(self.algorithm),
         }
         write_checkpoint(self.job.checkpoint, content)
+
+
+class _Candidate(NamedTuple):
+    """A policy by its weights, and how it did when it was last rolled out."""
+
+    evaluation: Evaluation
+    weights: dict[str, torch.Tensor]
+
+
+def roll_out_in(
+    simulation: Simulation, task: Task, policy: Policy, scenarios: Scenario, sampled: bool | None = None
+) -> Rollout:
+    """Roll a policy out from the W worlds of some scenarios, in a simulation; what is drawn is the same every time."""
+    motion = fastest_motion(simulation, len(scenarios), task.vehicles, sampled, seed=0)
+    return play(task, motion, scenarios, policy.act, compiled=True)
 
 
 class _ReportProgress(BaseCallback):
@@ -288,7 +324,7 @@ def learn_all(
 
 
 def best_of(results: Sequence[SeedResult]) -> SeedResult:
-    """Return the seed with most success in the evaluation scenarios, of equal ones that with the highest reward.
+    """Return the seed with most success in the final scenarios, of equal ones that with the highest reward.
 
     Raises:
         UserError: every seed has failed.
@@ -304,3 +340,11 @@ def policy_of(task: Task, algorithm: AlgorithmConfig, result: SeedResult) -> Pol
     """Return the best policy of a seed that learned a task."""
     weights = {name: torch.from_numpy(values) for name, values in result.weights.items()}
     return Policy.with_weights(task.robot, task.observation_names, algorithm.architecture, weights)
+
+
+def tested(task: Task, job: PolicyJob, policy: Policy) -> Rollout:
+    """Return roll-outs of a policy in the simulation that it was learned in, from scenarios that chose nothing."""
+    simulation = tabulated(load_simulation(job.simulation), job.table, job.tabulated)
+    scenarios = draw_scenarios(task, job.schedule.final_scenes, "evaluation", seed=2)
+    with one_thread():
+        return roll_out_in(simulation, task, policy, scenarios, job.sampled)
