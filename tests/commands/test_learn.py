@@ -20,7 +20,7 @@ from tiny_policies import provenance, seeker, task_named
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
 TASK = ("task=obstacle", "task.steps=40", "task.reach_mm=300", "task.distance_mm=360", "task.radius_mm=[5,10]")
 SMALL = ("policy.layers=[16]", "policy.worlds=4", "policy.steps=150", "policy.random_steps=20", "policy.batch_size=64")
-QUICK = ("learn", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60")
+QUICK = ("learn", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "final_scenes=100")
 FILES = [
     "history.csv",
     "history.png",
@@ -65,16 +65,25 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
     }
     history = pd.read_csv(workshop / "out" / "history.csv")
     assert history.groupby("seed").step.agg(list).tolist() == [[50, 100, 150]] * 2
-    best = history.sort_values(["success", "reward"]).iloc[-1]
-    assert policy.provenance.seed == best.seed
     metrics = json.loads((workshop / "out" / "metrics.json").read_text())
-    assert metrics["evaluation"]["success"] == pytest.approx(best.success, abs=1e-5)
+    finals = {int(seed): best for seed, best in metrics["seeds"].items()}
+    best = finals[policy.provenance.seed]
+    assert best == metrics["evaluation"]
+    assert best["success"] == max(final["success"] for final in finals.values())
+    test = metrics["test"]
+    assert test["rollouts"] == 100
+    assert test["success"]["low"] < best["success"] < test["success"]["high"] + 0.1
+    assert f"the policy in 100 new scenarios: success {100 * test['success']['value']:.1f} % (" in answer.shown
     version = registry.find_version("models:/mgr-policy@challenger")
     assert version.tags["task"] == "obstacle"
-    assert float(version.tags["success"]) == pytest.approx(best.success, abs=1e-3)
+    assert float(version.tags["success"]) == pytest.approx(best["success"], abs=1e-3)
     assert "registered as mgr-policy version 2, its challenger in place of version 1: success +" in answer.shown
     (run,) = runs()
-    assert run.data.metrics["evaluation_success"] == pytest.approx(best.success, abs=1e-5)
+    assert run.data.metrics["evaluation_success"] == pytest.approx(best["success"], abs=1e-5)
+    tracked = mlflow.MlflowClient().get_metric_history(run.info.run_id, f"seed_{policy.provenance.seed}_success")
+    mine = history[history.seed == policy.provenance.seed]
+    assert [metric.step for metric in tracked] == mine.step.tolist()
+    assert [metric.value for metric in tracked] == pytest.approx(mine.success.tolist(), abs=1e-5)
     assert run.data.params["policy.name"] == "ddpg"
     assert load_policy(version.folder()).provenance == policy.provenance
 
@@ -82,7 +91,7 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
 def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     model("mlp")
     answer = swarmtwin(
-        *("learn", "-m", "policy=ddpg,td3", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60"),
+        *("learn", "-m", "policy=ddpg,td3", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "final_scenes=60"),
         *("seeds=1", "output=out_${policy.name}"),
     )
     assert answer.status == 0, answer.error
