@@ -35,10 +35,10 @@ train robot=cart model=two_layers recording=reference recipe.batch_size=64 seeds
 train robot=cart model=kinematic recording=reference model.steps=300 {alone} output=kinematic
 evaluate robot=cart simulation=model recording=worn output=evaluated
 generate robot=cart generator=small_gan recording=reference count=200 output=synthetic
-learn robot=cart task=visit policy=patient_td3 simulation=model evaluate_every=30 scenes=20 final_scenes=20 {alone} output=policy
+learn robot=cart task=visit policy=patient_td3 simulation=model evaluate_every=30 scenes=20 {alone} output=policy
 rollout robot=cart policy=policy count=10 video=false output=rollouts
 diagnose robot=cart reference=reference measured=worn register=false pictures=false output=diagnosis
-""".replace("{alone}", "seeds=1 register=false")
+""".replace("{alone}", "seeds=1 register=false").replace(" scenes=20", " scenes=20 final_scenes=20")
 
 
 @pytest.fixture(scope="module")

@@ -91,7 +91,8 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
 def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     model("mlp")
     answer = swarmtwin(
-        *("learn", "-m", "policy=ddpg,td3", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "final_scenes=60"),
+        *("learn", "-m", "policy=ddpg,td3", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60"),
+        "final_scenes=60",
         *("seeds=1", "output=out_${policy.name}"),
     )
     assert answer.status == 0, answer.error
