@@ -6,6 +6,7 @@ import torch
 
 from exact_model import ExactDynamics, conditions_of
 from swarmtwin.simulation.base_twists import BaseTwists
+from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following
 from swarmtwin.simulation.mechanism import Moment
 
@@ -21,8 +22,8 @@ class AskedDynamics(ExactDynamics):
 
     def predict(self, situation):
         self.asked += len(situation)
-        mixed = 0.8 * situation.command + 0.2 * situation.previous_command
-        return super().predict(situation.__class__(command=mixed))
+        before = situation.command if situation.previous_command is None else situation.previous_command
+        return super().predict(situation.__class__(command=0.8 * situation.command + 0.2 * before))
 
 
 @pytest.fixture
@@ -83,6 +84,20 @@ def test_a_model_that_looks_at_poses_is_asked_at_each(dynamics, driven):
     dynamics.inputs = ("command", "previous_command", "pose")
     answers(BaseTwists(dynamics, moment, commands, follows=follows))
     assert dynamics.asked == len(PAIRS) * COUNT
+
+
+def test_a_correction_that_looks_at_more_does_not_ask_the_model_again(robots, driven):
+    """A model of the command alone is asked for each command once, its correction for each pair of them."""
+    moment, commands, follows = driven
+    model, correction = AskedDynamics(robots["mgr"]), AskedDynamics(robots["mgr"])
+    model.inputs = ("command",)
+    corrected = CorrectedDynamics(model, correction)
+    answered = answers(BaseTwists(corrected, moment, commands, follows=follows))
+    apart = [answers(BaseTwists(one, moment, commands)) for one in (model, correction)]
+    torch.testing.assert_close(answered, apart[0] + apart[1], rtol=0, atol=1e-12)
+    model.asked = 0
+    answers(BaseTwists(corrected, moment, commands, follows=follows))
+    assert model.asked == COUNT + 2 * 2
 
 
 def test_wheels_end_where_their_pieces_lead(dynamics, driven):

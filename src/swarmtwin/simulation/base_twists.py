@@ -17,7 +17,7 @@ from torch import Tensor
 
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import log_map
-from swarmtwin.simulation.ensemble_dynamics import CrossFitted
+from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics, CrossFitted
 from swarmtwin.simulation.mechanism import Moment
 
 
@@ -30,12 +30,14 @@ class Answers:
         to_settings: to settings on their way, by the roles of the commands, the way and the share of it that is left.
         delays: lateness and lag for which these settings hold.
         velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, from which a model with momentum goes on; None: not known.
+        of_part: of the parts of a model whose answers add up.
     """
 
     to_commands: dict[tuple[int, int], Tensor] = field(default_factory=dict)
     to_settings: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
     delays: tuple[float, float] = (0.0, 0.0)
     velocity: Tensor | None = None
+    of_part: "dict[str, Answers]" = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -138,9 +140,24 @@ class BaseTwists:
             before = now
         known = self.known.to_commands
         if (now, before) not in known:
-            by_commands = {"command", "previous_command"}.issuperset(self.dynamics.inputs)
-            known[now, before] = self._completed(now, before) if by_commands else self._asked(now, before)
+            known[now, before] = self._new_answer(now, before)
         return known[now, before]
+
+    def _new_answer(self, now: int, before: int) -> Tensor:
+        if isinstance(self.dynamics, CorrectedDynamics) and self.dynamics.correction:
+            alone, correction = self._part("dynamics"), self._part("correction")
+            return alone._answer(now, before) + correction._answer(now, before)
+        by_commands = {"command", "previous_command"}.issuperset(self.dynamics.inputs)
+        return self._completed(now, before) if by_commands else self._asked(now, before)
+
+    def _part(self, name: str) -> "BaseTwists":
+        """Return a part of a model whose twists add up: it may look at less, and be asked less often."""
+        return replace(
+            self,
+            dynamics=getattr(self.dynamics, name),
+            known=self.known.of_part.setdefault(name, Answers()),
+            undisturbed=self.undisturbed._part(name) if self.undisturbed else None,
+        )
 
     def _asked(self, now: int, before: int) -> Tensor:
         earlier = before if now == before else min(before + 1, len(self.commands) - 1)
