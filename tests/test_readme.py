@@ -12,8 +12,8 @@ def test_the_python_in_the_readme_runs(workplace):
     simulation(workplace / "artifacts" / "dynamics" / "mgr" / "crnet_synthetic", robot_named("mgr"))
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     assert blocks
+    names: dict = {}
     for block in blocks:
-        names: dict = {}
         exec(compile(block, str(README), "exec"), names)
     assert all(names["terminated"].values()) or all(names["truncated"].values())
     assert names["env"].agents == []
