@@ -184,6 +184,11 @@ class StoredPolicy:
         """
         task, arena = changes.of(self.task), changes.arena_mm or self.arena
         shown, looked_at = task.build(self.robot, arena).observation_names, self.policy.observation_names
+        if task.sees_commands != self.task.sees_commands:
+            raise UserError(
+                f"{self.folder} looks at the last {self.task.sees_commands} commands, and is to be shown "
+                f"{task.sees_commands}: learn a policy with task.sees_commands={task.sees_commands}"
+            )
         if shown != looked_at:
             raise UserError(
                 f"{self.folder} looks at {len(looked_at)} numbers, and a vehicle of {task.vehicles} observes "

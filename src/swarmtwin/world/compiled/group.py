@@ -38,7 +38,7 @@ def measure(task: Group, scenario: Scenario, pose: np.ndarray, all_pairs_up_to: 
         all_pairs_up_to: in larger groups neighbours are looked for in a grid, whose effort does not grow with K².
     """
     shape = pose.shape[:2]
-    observation = np.empty((*shape, task.observation_size), np.float32)
+    observation = np.empty((*shape, len(task.surrounding_names)), np.float32)
     near_others, lost = np.zeros(shape, np.int64), np.zeros(shape[0], bool)
     collided, outside = np.zeros(shape, bool), np.zeros(shape, bool)
     kernel: Any = _compare_all if shape[1] <= all_pairs_up_to else _look_about
