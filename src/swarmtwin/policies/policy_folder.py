@@ -49,6 +49,7 @@ class PolicyProvenance(StrictModel):
         simulation: the model it was learned in.
         algorithm: how it was learned, all values.
         schedule: how long, and how it was evaluated.
+        randomisation: by what roll-outs differed, all values; None: they did not.
         seed: the seed chosen, best in the evaluation scenarios.
         seeds: what came of each.
     """
@@ -56,6 +57,7 @@ class PolicyProvenance(StrictModel):
     simulation: SimulationOrigin
     algorithm: dict[str, Any]
     schedule: dict[str, Any]
+    randomisation: dict[str, Any] | None = None
     seed: int
     seeds: tuple[SeedOutcome, ...]
 

@@ -32,8 +32,10 @@ from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation_folder import load_simulation
-from swarmtwin.world.motion import SimulatedMotion, fastest_motion
+from swarmtwin.world.motion import CheckpointedMotion, SimulatedMotion
+from swarmtwin.world.randomised_motion import motion_in
 from swarmtwin.world.rollout import play, roll_out
 from swarmtwin.world.task import Task, TaskConfig
 from swarmtwin.world.world import World
@@ -94,6 +96,7 @@ class PolicyJob(NamedTuple):
         device: where the networks are trained.
         tabulated: whether a table of the simulation's displacements moves them; None: where it is accurate.
         table: how fine that is.
+        randomisation: what differs from roll-out to roll-out; None: nothing.
     """
 
     robot: Robot
@@ -108,6 +111,7 @@ class PolicyJob(NamedTuple):
     device: Device = "auto"
     tabulated: bool | None = None
     table: TableSettings = TableSettings()
+    randomisation: Randomisation | None = None
 
     def run(self, report: LearningReport | None) -> SeedResult:
         """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
@@ -120,6 +124,7 @@ class PolicyJob(NamedTuple):
         parts = (self.robot, self.task, self.algorithm, self.schedule, self.table)
         settings = [part.model_dump(mode="json") for part in parts]
         others = [self.digest, self.seed, self.sampled, torch_device(self.device).type, self.tabulated]
+        others.append(self.randomisation.model_dump(mode="json") if self.randomisation else None)
         return hashlib.sha256(json.dumps([*settings, *others]).encode()).hexdigest()
 
 
@@ -132,7 +137,7 @@ class Learner:
         self.simulation = simulation.to(torch_device(job.device))
         self.task = job.task.build(job.robot, self.simulation.conditions.arena_mm)
         worlds = job.algorithm.worlds
-        self.motion = fastest_motion(self.simulation, worlds, self.task.vehicles, job.sampled, job.seed)
+        self.motion = self._motion(worlds, job.seed)
         world = World(self.task, self.motion, worlds, job.seed, compiled=True)
         self.env = SharedPolicyEnv(world, reward_scale=1.0)
         self.algorithm = job.algorithm.build(self.env, job.seed, torch_device(job.device).type)
@@ -197,13 +202,18 @@ class Learner:
     def _evaluate(self) -> None:
         """Roll the policy out from the evaluation scenarios; what is drawn there is the same every time."""
         policy = self.policy
-        motion = fastest_motion(self.simulation, len(self.scenarios), self.task.vehicles, self.job.sampled, seed=0)
+        motion = self._motion(len(self.scenarios), seed=0)
         played = play(self.task, motion, self.scenarios, policy.act, compiled=True)
         evaluation = Evaluation.of(self.steps_done, played)
         self.history.append(evaluation)
         if self.best is None or evaluation.rank > self.best.rank:
             self.best = evaluation
             self.weights = dict(policy.state_dict())
+
+    def _motion(self, worlds: int, seed: int) -> CheckpointedMotion:
+        """Return what moves the vehicles of some worlds, in training and evaluation alike."""
+        job = self.job
+        return motion_in(self.simulation, worlds, self.task.vehicles, job.sampled, seed, job.randomisation)
 
     def _is_finite(self) -> bool:
         return all(bool(weights.isfinite().all()) for weights in self.policy.parameters())
