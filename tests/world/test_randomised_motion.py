@@ -8,6 +8,7 @@ from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.simulation.randomisation import Randomisation, with_known_actuation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.parallel_env import parallel_env
 from swarmtwin.world.randomised_motion import RandomisedMotion
 from swarmtwin.world.world import World
 
@@ -143,3 +144,15 @@ def test_a_checkpoint_of_other_draws_is_refused(bare):
         motion_of(bare, draws=2).restore(motion_of(bare, draws=3).state())
     with pytest.raises(ValueError, match="does not fit"):
         motion_of(bare, worlds=5).restore(motion_of(bare).state())
+
+
+def test_pettingzoo_agents_may_be_unlike(bare):
+    task = task_named("collective", vehicles=2)
+    motion = motion_of(bare, {"gain_change": {"gain": [0.5, 1.5], "of": "vehicle"}}, worlds=1, sampled=False)
+    env = parallel_env(task, motion, seed=3)
+    env.reset(seed=3)
+    start = motion.state()["pose"][0, :, :2]
+    env.step(dict.fromkeys(env.agents, np.array([60.0, 60.0], np.float32)))
+    way_mm = np.linalg.norm(motion.state()["pose"][0, :, :2] - start, axis=-1)
+    gain = motion.parameters[motion.dealt[0], :, 0]
+    assert way_mm[0] / way_mm[1] == pytest.approx(gain[0] / gain[1], rel=1e-5)
