@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 import yaml
 
+from swarmtwin.diagnosis.result import Cause, DiagnosisResult, Estimate, Gain, Gains
 from swarmtwin.policies.policy_folder import load_policy, save_policy
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.store import use_store
@@ -179,3 +180,51 @@ def test_where_every_seed_fails_nothing_is_left(swarmtwin, model, workshop):
     assert "every seed has failed (seed 1: its weights were no longer finite)" in answer.error
     assert not (workshop / "out").exists()
     assert [run.info.status for run in runs()] == ["FAILED"]
+
+
+def test_a_policy_is_learned_against_what_a_diagnosis_measured(swarmtwin, model, workshop):
+    model("mlp")
+    delay = Cause(
+        name="command_delay",
+        parameters={"delay_s": Estimate(value=0.2, low=0.15, high=0.25, unit="s")},
+        confidence=1.0,
+        rivals=(),
+        share_of_gap=1.0,
+        evidence="",
+    )
+    nothing = Gain(before=1.0, after=1.0, low=0.0, high=0.0)
+    result = DiagnosisResult(
+        verdict="explained",
+        causes=(delay,),
+        depends_on=(),
+        gain=Gains(position_mm=nothing, orientation_deg=nothing, open_loop_mm=nothing),
+        next_recording=None,
+        left_over=(),
+        tests=(),
+        robot="mgr",
+        vehicles=("1",),
+        runs={},
+        transitions={},
+        extension="mechanisms",
+        seed=0,
+    )
+    (workshop / "found").mkdir()
+    (workshop / "found" / "diagnosis.json").write_text(result.model_dump_json())
+    options = ("randomisation=found", "draws=2", "task.sees_commands=2", "register=false", "pictures=false")
+    answer = swarmtwin(*QUICK, *options, "policy.steps=50", "seeds=1", "output=out")
+    assert answer.status == 0, answer.error
+    policy = load_policy(workshop / "out")
+    ranges = {"name": "command_delay", "of": "world", "ranges": {"delay_s": [0.15, 0.25]}, "fixed": {}}
+    assert policy.provenance.randomisation == {"mechanisms": [ranges], "draws": 2}
+    assert policy.policy.observation_names[-1] == "command_2_right"
+    run = runs()[0]
+    assert json.loads(run.data.tags["randomisation"]) == [ranges]
+    assert "diagnosis" in {tag.value for one in run.inputs.dataset_inputs for tag in one.tags}
+
+
+def test_a_range_that_makes_no_sense_is_refused_before_anything_is_learned(swarmtwin, model, workshop):
+    model("mlp")
+    answer = swarmtwin(*QUICK, "randomisation={command_delay: {delay_s: [0.0, 3.0]}}", "output=out")
+    assert answer.status == 2
+    assert "randomisation.command_delay.delay_s: [0, 3] is not within 0 to 0.5 s: narrow it" in answer.error
+    assert not (workshop / "out").exists()

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from playground import Playground, Told
 
+from swarmtwin.deploy.control.driver import PolicyDriver
 from swarmtwin.deploy.control.journal import read_journal
+from tiny_policies import task_named
 
 APART = np.array([[300.0, 300.0, 0.0], [300.0, 700.0, 0.0], [700.0, 500.0, 3.0]])
 
@@ -57,3 +59,31 @@ def test_each_fault_stops_all_vehicles(tmp_path, reason):
     assert outcome.is_standing == (reason not in ("not been seen", "unplugged|no picture"))
     allowed_s = {"not been seen": 0.3, "unplugged|no picture": 0.2}.get(reason, 0.0)
     assert ground.first_zeros_after(happened[-1]) < allowed_s + ground.robot.period_s + 0.03
+
+
+class Onlooker:
+    """A policy that wants to go on straight, and keeps what it is shown."""
+
+    def __init__(self):
+        self.shown = []
+
+    def act(self, observation):
+        self.shown.append(observation[0])
+        return np.full((1, observation.shape[1], 2), 110.0 - 10 * len(self.shown))
+
+
+def test_a_policy_sees_the_commands_that_were_really_sent(tmp_path):
+    task = task_named("collective", vehicles=3, sees_commands=2, separation_mm=200)
+    with Playground(tmp_path, np.array([[930.0, 300.0, 0.0], [300.0, 700.0, 0.0], [700.0, 500.0, 3.0]])) as ground:
+        task = task.build(ground.robot)
+        policy = Onlooker()
+        ground.drive(PolicyDriver(policy, task, np.array([[515.0, 515.0]])), periods=6)
+    periods = [line for line in read_journal(ground.journal.path) if line["kind"] == "period"]
+    sent = [np.array(line["sent"]) for line in periods]
+    requested = [np.array(line["requested"]) for line in periods]
+    assert any((asked != given).any() for asked, given in zip(requested, sent, strict=True))  # the filter intervenes
+    told = [np.zeros((3, 2))] * 2 + sent
+    assert len(periods) == len(policy.shown) == 6
+    for tick, shown in enumerate(policy.shown):
+        expected = np.concatenate([told[tick + 1], told[tick]], axis=-1) / 120
+        assert shown[:, -4:] == pytest.approx(expected, abs=1e-6)

@@ -17,6 +17,7 @@ from swarmtwin.policies.training import Learner, best_of, learn_all, policy_of, 
 from swarmtwin.robot import Arena
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.world.motion import SimulatedMotion
@@ -135,6 +136,49 @@ def test_an_interrupted_training_continues_to_the_same_drawn_numbers(folder, tmp
     result = resumed.run(None)
     assert result.history == whole.history
     assert same_weights(result, whole)
+
+
+@pytest.fixture
+def randomised(folder):
+    """A job in which roll-outs differ, fewer at a time than there are worlds in training or evaluation."""
+    ranges = {
+        "command_delay": {"delay_s": [0.1, 0.4]},
+        "command_loss": {"probability": [0.0, 0.3]},
+        "gain_change": {"gain": [0.7, 1.3], "of": "vehicle"},
+    }
+    randomisation = Randomisation.read(ranges, load_simulation(folder), draws=3)
+    return policy_job(folder, algorithm=small("ddpg", steps=40))._replace(randomisation=randomisation)
+
+
+def test_an_interrupted_training_in_a_randomised_world_continues_to_the_same_numbers(randomised, tmp_path):
+    whole = randomised.run(None)
+    resumed = randomised._replace(checkpoint=tmp_path / "seed-1.ckpt")
+
+    def kill_after_the_first_evaluation(seed, done, evaluation):
+        if done > whole.history[0].step:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        resumed.run(kill_after_the_first_evaluation)
+    result = resumed.run(None)
+    assert result.history == whole.history
+    assert same_weights(result, whole)
+    assert result.history != randomised._replace(randomisation=None).run(None).history
+
+
+def test_every_evaluation_in_a_randomised_world_meets_the_same_draws(randomised):
+    learner = Learner(randomised)
+    learner._evaluate()
+    learner.motion.move(np.zeros(learner.env.world.shape))
+    learner._evaluate()
+    assert learner.history[0] == learner.history[1]
+
+
+def test_a_checkpoint_of_other_ranges_is_not_continued(randomised, folder):
+    wider = {"command_delay": {"delay_s": [0.1, 0.5]}}
+    other = Randomisation.read(wider, load_simulation(folder), draws=3)
+    jobs = [randomised, randomised._replace(randomisation=other), randomised._replace(randomisation=None)]
+    assert len({job.identity for job in jobs}) == 3
 
 
 def test_a_finished_training_is_not_done_again(folder, tmp_path):

@@ -13,10 +13,21 @@ from safetensors.torch import save_file
 from swarmtwin.errors import UserError
 from swarmtwin.policies.onnx_export import check_equal, onnx_model
 from swarmtwin.policies.policy import Architecture, Policy
-from swarmtwin.policies.policy_folder import load_policy, save_policy
+from swarmtwin.policies.policy_folder import TaskChanges, load_policy, save_policy
+from swarmtwin.policies.pyfunc import serve
 from swarmtwin.policies.training import Learner
 from swarmtwin.robot import Arena
-from tiny_policies import ALGORITHMS, ARCHITECTURE, policy_job, provenance, robot_named, simulation, small, task_named
+from tiny_policies import (
+    ALGORITHMS,
+    ARCHITECTURE,
+    policy_job,
+    provenance,
+    robot_named,
+    save_seeker,
+    simulation,
+    small,
+    task_named,
+)
 
 TASK = task_named("collective")
 
@@ -215,3 +226,17 @@ def test_a_task_that_shows_something_else_than_the_policy_looks_at_is_refused(sa
         f"{saved}/policy.yaml: the policy looks at 25 numbers that are not the 15 that its task 'collective' shows: "
         "learn the policy anew"
     )
+
+
+def test_a_policy_that_sees_past_commands_is_served_with_them_by_name(tmp_path):
+    folder = save_seeker(tmp_path / "seeker", sees_commands=2)
+    served = serve(folder)
+    assert served.required[-4:] == ("command_1_left", "command_1_right", "command_2_left", "command_2_right")
+    assert (served.example[list(served.required[-4:])] == 0).all(axis=None)
+    assert served.predict(served.example).shape == (2, 2)
+
+
+def test_a_policy_is_not_shown_another_number_of_past_commands(tmp_path):
+    stored = load_policy(save_seeker(tmp_path / "seeker", sees_commands=2))
+    with pytest.raises(UserError, match=r"last 2 commands, and is to be shown 0: .* task\.sees_commands=0"):
+        stored.in_changed_task(TaskChanges(changes={"sees_commands": 0}))

@@ -102,7 +102,7 @@ def test_candidates_cover_the_limits_and_begin_with_rest(name):
 
 def test_a_task_that_shows_no_place_has_no_scripted_policy():
     task = task_named("collective")
-    task.observation_names = task.observation_names[5:]
+    task.surrounding_names = task.surrounding_names[5:]
     with pytest.raises(UserError, match="task 'collective': its vehicles see no place to go to"):
         ScriptedPolicy(task)
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from swarmtwin.diagnosis.measured_ranges import measured_ranges
 from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
@@ -28,12 +29,13 @@ from swarmtwin.policies.training import (
 )
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, TableSettings, tabulated
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.gate import Trials, judge_challenging_policy
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
-from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.randomised_motion import motion_in
 from swarmtwin.world.rollout import NEVER, Rate, play
 from swarmtwin.world.task import Task, task_config
 
@@ -52,6 +54,8 @@ class Options(StrictModel):
     sampled: bool | None
     tabulated: bool | None
     table: TableSettings
+    randomisation: dict[str, Any] | str | None
+    draws: Annotated[int, Field(ge=1)]
     device: Device
     seed: Seed
     seeds: Annotated[int, Field(ge=1)]
@@ -74,17 +78,23 @@ def run(options: Options) -> dict[str, Any]:
     task = task_in(simulation, options.robot, task_to_learn, options.sampled)
     torch_device(options.device)
     table = _table_of(simulation, options)
+    randomisation = _randomisation(simulation, options)
     origin = origin_of(source, simulation)
     name = f"{options.robot.name}-{task.config.name}-{algorithm.name}"
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
     inputs = [Dataset(simulation, "simulation", origin.digest)]
+    if isinstance(options.randomisation, str):
+        inputs.append(Dataset.of_files(Path(options.randomisation), "diagnosis"))
     with (
-        new_folder(output, "learn", settings, options.overwrite, resumable=True, inputs=[simulation]) as folder,
+        new_folder(
+            output, "learn", settings, options.overwrite, resumable=True, inputs=[one.folder for one in inputs]
+        ) as folder,
         tracked_run("policy", name, settings, inputs, options.seed) as tracked,
     ):
         started = time.monotonic()
         jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS)
+        jobs = [job._replace(randomisation=randomisation) for job in jobs]
         with training_bars(name, algorithm.steps) as report:
             results = learn_all(jobs, _tracking(tracked, report))
         provenance = save_learned(folder, task, jobs[0], results, origin)
@@ -98,7 +108,7 @@ def run(options: Options) -> dict[str, Any]:
         if options.register_model:
             tags = provenance.tags(task.config.name)
             version = registry.register(f"{options.robot.name}-policy", folder, kept, tracked.run_id, tags)
-            registered = _challenge(options, version, folder, task, simulation)
+            registered = _challenge(options, version, folder, task, jobs[0])
     Console().print(_table(name, provenance))
     Console().print(_how_good(output), highlight=False, soft_wrap=True)
     if table:
@@ -127,16 +137,31 @@ def _table_of(simulation: Path, options: Options) -> TableError | None:
     return dynamics.error if isinstance(dynamics, DisplacementTable) else None
 
 
-def _challenge(options: Options, version: registry.Version, output: Path, task: Task, simulation: Path) -> str:
+def _randomisation(simulation: Path, options: Options) -> Randomisation | None:
+    """Return what is to differ from roll-out to roll-out: as stated, or as a diagnosis measured it.
+
+    Raises:
+        UserError: it cannot in this simulation.
+    """
+    given = options.randomisation
+    if given is None:
+        return None
+    loaded = load_simulation(simulation)
+    if isinstance(given, str):
+        return Randomisation.read(measured_ranges(Path(given), loaded), loaded, options.draws, given)
+    return Randomisation.read(given, loaded, options.draws)
+
+
+def _challenge(options: Options, version: registry.Version, output: Path, task: Task, job: PolicyJob) -> str:
     """Make a policy challenger if it is measurably better, in the simulation that it was learned in; say what was done.
 
     Both are rolled out from the same starts, none of which any policy was learned or chosen by.
     """
     scenarios = draw_scenarios(task, options.scenes, "challenge", seed=0)
-    loaded = load_simulation(simulation)
+    loaded = load_simulation(job.simulation)
 
     def trials(policy: StoredPolicy) -> Trials:
-        motion = SimulatedMotion(loaded, len(scenarios), task.vehicles, options.sampled, seed=0)
+        motion = motion_in(loaded, len(scenarios), task.vehicles, job.sampled, 0, job.randomisation)
         rollout = play(task, motion, scenarios, policy.policy.act)
         return Trials(rollout.success, rollout.collided_step != NEVER, rollout.mean_reward)
 
@@ -200,6 +225,8 @@ def _track(tracked: TrackedRun, results: Sequence[SeedResult], provenance: Polic
     tracked.history((evaluation.step, evaluation.model_dump(exclude={"step"})) for evaluation in best.history)
     tracked.tag("simulation.digest", provenance.simulation.digest)
     tracked.tag("simulation.origin", provenance.simulation.origin)
+    if provenance.randomisation:
+        tracked.tag("randomisation", json.dumps(provenance.randomisation["mechanisms"]))
 
 
 def _evaluation(provenance: PolicyProvenance) -> dict[str, float]:

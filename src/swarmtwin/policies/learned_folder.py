@@ -47,6 +47,7 @@ def save_learned(
         simulation=origin,
         algorithm=job.algorithm.model_dump(mode="json"),
         schedule=job.schedule.model_dump(mode="json"),
+        randomisation=job.randomisation.model_dump(mode="json") if job.randomisation else None,
         seed=best.seed,
         seeds=tuple(outcomes),
     )

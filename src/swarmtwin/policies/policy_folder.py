@@ -49,6 +49,7 @@ class PolicyProvenance(StrictModel):
         simulation: the model it was learned in.
         algorithm: how it was learned, all values.
         schedule: how long, and how it was evaluated.
+        randomisation: by what roll-outs differed, all values; None: they did not.
         seed: the seed chosen, best in the final scenarios.
         seeds: what came of each.
     """
@@ -56,6 +57,7 @@ class PolicyProvenance(StrictModel):
     simulation: SimulationOrigin
     algorithm: dict[str, Any]
     schedule: dict[str, Any]
+    randomisation: dict[str, Any] | None = None
     seed: int
     seeds: tuple[SeedOutcome, ...]
 
@@ -184,6 +186,11 @@ class StoredPolicy:
         """
         task, arena = changes.of(self.task), changes.arena_mm or self.arena
         shown, looked_at = task.build(self.robot, arena).observation_names, self.policy.observation_names
+        if task.sees_commands != self.task.sees_commands:
+            raise UserError(
+                f"{self.folder} looks at the last {self.task.sees_commands} commands, and is to be shown "
+                f"{task.sees_commands}: learn a policy with task.sees_commands={task.sees_commands}"
+            )
         if shown != looked_at:
             raise UserError(
                 f"{self.folder} looks at {len(looked_at)} numbers, and a vehicle of {task.vehicles} observes "

@@ -10,6 +10,7 @@ import pandas as pd
 
 from swarmtwin.learning.served_model import unchanged_folder
 from swarmtwin.policies.policy_folder import StoredPolicy, load_policy
+from swarmtwin.world.past_commands import PastCommands
 
 
 class ServedPolicy:
@@ -29,7 +30,8 @@ class ServedPolicy:
         self.required = stored.policy.observation_names
         task = stored.build_task()
         scenario = task.draw(np.random.default_rng(0), 1)
-        observed = task.observe(scenario, scenario.start)[0].astype(float)
+        at_rest = PastCommands(task.robot, task.config.sees_commands, 1, task.vehicles)
+        observed = at_rest.beside(task.observe(scenario, scenario.start))[0].astype(float)
         self.example = pd.DataFrame(observed, columns=list(self.required))
 
     def predict(self, table: pd.DataFrame) -> pd.DataFrame:

@@ -32,10 +32,11 @@ from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
 from swarmtwin.robot import Robot, StrictModel
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
-from swarmtwin.world.compiled import fastest_motion
 from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.randomised_motion import motion_in
 from swarmtwin.world.rollout import Rollout, play, roll_out
 from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task, TaskConfig
@@ -102,6 +103,7 @@ class PolicyJob(NamedTuple):
         device: where the networks are trained.
         tabulated: whether a table of the simulation's displacements moves them; None: where it is accurate.
         table: how fine that is.
+        randomisation: what differs from roll-out to roll-out; None: nothing.
     """
 
     robot: Robot
@@ -116,6 +118,7 @@ class PolicyJob(NamedTuple):
     device: Device = "auto"
     tabulated: bool | None = None
     table: TableSettings = TableSettings()
+    randomisation: Randomisation | None = None
 
     def run(self, report: LearningReport | None) -> SeedResult:
         """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
@@ -128,6 +131,7 @@ class PolicyJob(NamedTuple):
         parts = (self.robot, self.task, self.algorithm, self.schedule, self.table)
         settings = [part.model_dump(mode="json") for part in parts]
         others = [self.digest, self.seed, self.sampled, torch_device(self.device).type, self.tabulated]
+        others.append(self.randomisation.model_dump(mode="json") if self.randomisation else None)
         return hashlib.sha256(json.dumps([*settings, *others]).encode()).hexdigest()
 
 
@@ -140,7 +144,8 @@ class Learner:
         self.simulation = simulation.to(torch_device(job.device))
         self.task = job.task.build(job.robot, self.simulation.conditions.arena_mm)
         worlds = job.algorithm.worlds
-        self.motion = fastest_motion(self.simulation, worlds, self.task.vehicles, job.sampled, job.seed)
+        vehicles = self.task.vehicles
+        self.motion = motion_in(self.simulation, worlds, vehicles, job.sampled, job.seed, job.randomisation)
         world = World(self.task, self.motion, worlds, job.seed, compiled=True)
         self.env = SharedPolicyEnv(world, reward_scale=1.0)
         self.algorithm = job.algorithm.build(self.env, job.seed, torch_device(job.device).type)
@@ -226,7 +231,7 @@ class Learner:
         return Policy.with_weights(self.job.robot, self.task.observation_names, architecture, weights)
 
     def _rolled_out(self, policy: Policy, step: int, scenarios: Scenario) -> Evaluation:
-        return Evaluation.of(step, roll_out_in(self.simulation, self.task, policy, scenarios, self.job.sampled))
+        return Evaluation.of(step, roll_out_in(self.simulation, self.task, policy, scenarios, self.job))
 
     def _is_finite(self) -> bool:
         return all(bool(weights.isfinite().all()) for weights in self.policy.parameters())
@@ -275,11 +280,12 @@ class _Candidate(NamedTuple):
     weights: dict[str, torch.Tensor]
 
 
-def roll_out_in(
-    simulation: Simulation, task: Task, policy: Policy, scenarios: Scenario, sampled: bool | None = None
-) -> Rollout:
-    """Roll a policy out from the W worlds of some scenarios, in a simulation; what is drawn is the same every time."""
-    motion = fastest_motion(simulation, len(scenarios), task.vehicles, sampled, seed=0)
+def roll_out_in(simulation: Simulation, task: Task, policy: Policy, scenarios: Scenario, job: PolicyJob) -> Rollout:
+    """Roll a policy out from the W worlds of some scenarios, in the simulation of its training, randomised likewise.
+
+    What is drawn is the same every time.
+    """
+    motion = motion_in(simulation, len(scenarios), task.vehicles, job.sampled, 0, job.randomisation)
     return play(task, motion, scenarios, policy.act, compiled=True)
 
 
@@ -347,4 +353,4 @@ def tested(task: Task, job: PolicyJob, policy: Policy) -> Rollout:
     simulation = tabulated(load_simulation(job.simulation), job.table, job.tabulated)
     scenarios = draw_scenarios(task, job.schedule.final_scenes, "evaluation", seed=2)
     with one_thread():
-        return roll_out_in(simulation, task, policy, scenarios, job.sampled)
+        return roll_out_in(simulation, task, policy, scenarios, job)

@@ -176,6 +176,11 @@ class Mechanism(StrictModel, ABC):
         return cls.parameters
 
     @classmethod
+    def bounds_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Return all its parameters by name, also those that are read off the clock instead of fitted."""
+        return cls.parameters_of(robot, conditions)
+
+    @classmethod
     def at(cls, values: Mapping[str, float]) -> Self:
         """Return it with values that are not checked against the bounds: for searches."""
         content: dict[str, Any] = {"name": cls.model_fields["name"].default, **values}

@@ -143,7 +143,7 @@ class Simulation(nn.Module):
         shape = state.pose.shape[:2]
         command = self._in_force(state, torch.as_tensor(command, dtype=torch.float64), rng)
         if duration_s is None and rng is not None:
-            duration_s = self._drawn_duration_s(shape, rng)
+            duration_s = self.drawn_duration_s(shape, rng)
         moment = self._moment(state, duration_s, neighbours)
         commands = [_flattened(values) for values in (command, state.previous_command, state.earlier_command)]
         displacement, memory = self._motion(moment, commands, {name: _flattened(m) for name, m in state.memory.items()})
@@ -166,6 +166,17 @@ class Simulation(nn.Module):
             velocity=velocity.reshape(*shape, 3),
             memory=_unflattened(memory, shape),
         )
+
+    def drawn_duration_s(self, shape: Sequence[int], rng: torch.Generator) -> Tensor | None:
+        """Draw the length of the period, (W, K), the same for all vehicles of a world: they have one controller.
+
+        None: it is nominal.
+        """
+        for mechanism in self.mechanisms:
+            drawn = mechanism.draw_duration_s(shape[0], self.robot.period_s, rng)
+            if drawn is not None:
+                return drawn[:, None].expand(*shape)
+        return None
 
     def observe(self, state: State, rng: torch.Generator | None = None) -> Tensor:
         """Return the poses (W, K, 3) that the camera measures; with `rng`, with its noise."""
@@ -224,14 +235,6 @@ class Simulation(nn.Module):
             return before
         drawn = torch.rand(command.shape[:2], generator=rng, dtype=torch.float64, device=command.device)
         return torch.where((drawn < arrives)[..., None], command, before)
-
-    def _drawn_duration_s(self, shape: Sequence[int], rng: torch.Generator) -> Tensor | None:
-        """Draw the length of the period, (W, K), the same for all vehicles of a world: they have one controller."""
-        for mechanism in self.mechanisms:
-            drawn = mechanism.draw_duration_s(shape[0], self.robot.period_s, rng)
-            if drawn is not None:
-                return drawn[:, None].expand(*shape)
-        return None
 
     def _moment(self, state: State, duration_s: Tensor | None, neighbours: Tensor | None) -> Moment:
         if duration_s is None:

@@ -1,6 +1,6 @@
 """What vehicles carry from one control period to the next."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import torch
@@ -48,6 +48,23 @@ class State:
         for name, values in other.parts().items():
             changed[name][worlds] = values
         return State.of_parts(changed)
+
+    def of_vehicles(self, vehicles: slice) -> "State":
+        """Return some vehicles of each world; those are then each other's only neighbours."""
+        return State.of_parts({name: values[:, vehicles] for name, values in self.parts().items()})
+
+    @classmethod
+    def side_by_side(cls, groups: Sequence["State"]) -> "State":
+        """Return the same worlds with the vehicles of several states, one after the other."""
+        parts = [group.parts() for group in groups]
+        return cls.of_parts({name: torch.cat([part[name] for part in parts], dim=1) for name in parts[0]})
+
+    @classmethod
+    def of_worlds(cls, worlds: Sequence[Tensor], states: Sequence["State"]) -> "State":
+        """Return all worlds of several states, each with the places (n,) of its worlds, in the order of the places."""
+        order = torch.cat(list(worlds)).argsort()
+        parts = [state.parts() for state in states]
+        return cls.of_parts({name: torch.cat([part[name] for part in parts])[order] for name in parts[0]})
 
     def parts(self) -> dict[str, Tensor]:
         """Return all its tensors by name, for a checkpoint; those of the memory begin with `memory: `."""

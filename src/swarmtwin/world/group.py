@@ -22,7 +22,7 @@ class Group(Task):
         super().__init__(robot, config, arena)
         self.config: GroupConfig = config
         names = observations.target_names() + observations.neighbour_names(self.shown_others)
-        self.observation_names = names + (observations.wall_names() if config.sees_walls else ())
+        self.surrounding_names = names + (observations.wall_names() if config.sees_walls else ())
         self._check_distances()
 
     @property

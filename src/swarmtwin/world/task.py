@@ -13,6 +13,7 @@ from swarmtwin.plugins import PluginRegistry
 from swarmtwin.robot import Arena, Positive, Robot, StrictModel
 from swarmtwin.world import tasks
 from swarmtwin.world.observations import ObservationScaling
+from swarmtwin.world.past_commands import past_command_names
 from swarmtwin.world.scenario import Scenario
 
 Count = Annotated[int, Field(ge=1)]
@@ -34,6 +35,7 @@ class TaskConfig(StrictModel):
         outside_mm: a vehicle whose centre is further outside the arena than this has left it.
         lost_share: a vehicle further outside than this share of the arena's shorter side is lost: its roll-out ends.
         observation: how lengths are scaled in observations.
+        sees_commands: how many of its own last commands a vehicle observes.
     """
 
     name: str
@@ -46,6 +48,7 @@ class TaskConfig(StrictModel):
     outside_mm: NotNegative
     lost_share: Share = 0.5
     observation: ObservationScaling = ObservationScaling()
+    sees_commands: Annotated[int, Field(ge=0)] = 0
 
     @abstractmethod
     def build(self, robot: Robot, arena: Arena | None = None) -> "Task":
@@ -81,7 +84,7 @@ class Measured:
     """All that a task has to say of W · K vehicles at one moment.
 
     Attributes:
-        observation: (W, K, o) float32 of each vehicle.
+        observation: (W, K, p) float32 of each vehicle: what its surroundings show.
         reward: (W, K) of each for being there.
         events: what has happened to each.
         lost: (W,) whether a vehicle is too far outside the arena to go on.
@@ -101,12 +104,12 @@ class Task(ABC):
         arena: where they drive.
         config: its configuration.
         ends_early: whether a roll-out ends with the first collision, or with the target reached.
-        observation_names: what the numbers of an observation are, in order.
+        surrounding_names: what the numbers are, in order, that `observe` shows of their surroundings.
         hold_steps: steps in a row at the target that count as having reached it, at least 1.
     """
 
     ends_early: ClassVar[bool]
-    observation_names: tuple[str, ...]
+    surrounding_names: tuple[str, ...]
 
     def __init__(self, robot: Robot, config: TaskConfig, arena: Arena | None = None) -> None:
         self.robot = robot
@@ -125,6 +128,11 @@ class Task(ABC):
     def steps(self) -> int:
         """How many control periods a roll-out has, T."""
         return int(self.config.steps)
+
+    @property
+    def observation_names(self) -> tuple[str, ...]:
+        """What the numbers of an observation are, in order: the surroundings, then its own last commands."""
+        return self.surrounding_names + past_command_names(self.robot, self.config.sees_commands)
 
     @property
     def observation_size(self) -> int:
@@ -157,7 +165,7 @@ class Task(ABC):
 
     @abstractmethod
     def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
-        """Return what each vehicle observes, (W, K, o) float32."""
+        """Return what each vehicle observes of its surroundings, (W, K, p) float32."""
 
     @abstractmethod
     def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
@@ -193,7 +201,7 @@ class Task(ABC):
         return float(self.config.lost_share * min(self.arena.high_mm - self.arena.low_mm))
 
     def measure(self, scenario: Scenario, pose: np.ndarray) -> Measured:
-        """Return observation, reward, events and who is lost, at once."""
+        """Return what vehicles observe of their surroundings, reward, events and who is lost, at once."""
         return Measured(
             self.observe(scenario, pose), self.reward(scenario, pose), self.events(scenario, pose), self.lost(pose)
         )

@@ -7,6 +7,7 @@ import numpy as np
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Robot
 from swarmtwin.world.motion import Motion, RandomMotion
+from swarmtwin.world.past_commands import PastCommands
 from swarmtwin.world.scenario import Scenario, ScenarioSupply
 from swarmtwin.world.task import Events, Task
 
@@ -67,6 +68,7 @@ class World:
         step_count: (W,) periods since the start.
         ended: (W,) whether the roll-out is over.
         reached: (W,) whether all targets have been reached.
+        past_commands: what was sent last, as far as vehicles see it.
     """
 
     def __init__(self, task: Task, motion: Motion, worlds: int, seed: int, compiled: bool = False) -> None:
@@ -123,6 +125,7 @@ class World:
             )
         self.scenario = scenario.from_first_leg()
         self.pose = self.motion.place(np.arange(self.worlds), scenario.start)
+        self.past_commands = PastCommands(self.robot, self.task.config.sees_commands, self.worlds, self.task.vehicles)
         self.step_count = np.zeros(self.worlds, dtype=int)
         self.ended = np.zeros(self.worlds, dtype=bool)
         self.reached = np.zeros(self.worlds, dtype=bool)
@@ -140,6 +143,7 @@ class World:
             self.scenario = self.scenario.replaced(rows, drawn)
             self.pose = self.pose.copy()
             self.pose[rows] = self.motion.place(rows, drawn.start)
+            self.past_commands.forget(rows)
             for counter in (self.step_count, self.ended, self.reached, self._held_steps):
                 counter[rows] = 0
         if observation is None:
@@ -149,7 +153,11 @@ class World:
 
     def observe(self) -> np.ndarray:
         """Return what each vehicle observes now, (W, K, o) float32."""
-        return self.task.observe(self.scenario, self.pose)
+        return self.observe_from(self.pose)
+
+    def observe_from(self, pose: np.ndarray) -> np.ndarray:
+        """Return what each vehicle would observe now if it were at (W, K, 3), (W, K, o) float32."""
+        return self.past_commands.beside(self.task.observe(self.scenario, pose))
 
     def step(self, command: np.ndarray) -> Step:
         """Hold commands (W, K, m), in the robot's units, for one period; those beyond the limits are cut to them.
@@ -164,17 +172,19 @@ class World:
         self._check_finite(pose, "pose", "mm, mm, rad", "nothing was measured there")
         self.pose = pose if counted.all() else np.where(counted[:, None, None], pose, self.pose)
         self.step_count += counted
+        self.past_commands.remember(command, counted)
         measured = self._measure(self.scenario, self.pose)
+        observation = self.past_commands.beside(measured.observation)
         reward, events = measured.reward, measured.events
         if not counted.all():
             reward, events = np.where(counted[:, None], reward, 0.0), events.where(counted)
-        self._observe_anew(self._follow_targets(events), measured.observation)
+        self._observe_anew(self._follow_targets(events), observation)
         terminated = np.zeros_like(counted)
         if self.task.ends_early:
             terminated = counted & (events.collided.any(axis=1) | self.reached)
         truncated = counted & ~terminated & ((self.step_count >= self.task.steps) | measured.lost)
         self.ended = self.ended | terminated | truncated
-        return Step(measured.observation, reward, command, counted, events, self.reached.copy(), terminated, truncated)
+        return Step(observation, reward, command, counted, events, self.reached.copy(), terminated, truncated)
 
     def state(self) -> dict[str, np.ndarray]:
         """Return all that the next step depends on beside the motion, for a checkpoint."""
@@ -188,6 +198,7 @@ class World:
             "ended": self.ended.copy(),
             "reached": self.reached.copy(),
             "held_steps": self._held_steps.copy(),
+            "past_commands": self.past_commands.shares.copy(),
             "random": np.array(self._supply.state()),
         }
 
@@ -204,6 +215,7 @@ class World:
         self.step_count = state["step_count"].copy()
         self.ended, self.reached = state["ended"].copy(), state["reached"].copy()
         self._held_steps = state["held_steps"].copy()
+        self.past_commands.shares = state["past_commands"].copy()
         self._supply.restore(str(state["random"]))
         return self.observe()
 
@@ -234,7 +246,8 @@ class World:
     def _observe_anew(self, rows: np.ndarray, observation: np.ndarray) -> None:
         """Write what is observed now in the worlds at indices (n,) into the observation (W, K, o)."""
         if len(rows):
-            observation[rows] = self._measure(self.scenario.where(rows), self.pose[rows]).observation
+            measured = self._measure(self.scenario.where(rows), self.pose[rows])
+            observation[rows] = self.past_commands.beside(measured.observation, rows)
 
     def _follow_targets(self, events: Events) -> np.ndarray:
         """Count the steps in a row in which all vehicles are at the target; pass on to the next one once held.

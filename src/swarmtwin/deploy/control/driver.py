@@ -78,8 +78,8 @@ class PolicyDriver:
         self._steps, self._poses, self._legs = [], [pose[None].copy()], [self.world.scenario.leg]
 
     def decide(self, pose: np.ndarray) -> np.ndarray:
-        """Return the commands (V, m) of the policy."""
-        return self._policy.act(self.task.observe(self.world.scenario, pose[None]))[0]
+        """Return the commands (V, m) of the policy, which sees what was really sent if it looks at past commands."""
+        return self._policy.act(self.world.observe_from(pose[None]))[0]
 
     def moved(self, command: np.ndarray, pose: np.ndarray) -> str | None:
         """Let the world judge where the commands led; return how it ended, or None."""

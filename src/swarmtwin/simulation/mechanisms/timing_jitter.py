@@ -45,6 +45,11 @@ class Config(Mechanism):
         return {"spread": float(np.exp(found.x))}
 
     @classmethod
+    def bounds_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Allow periods that often last half as long again."""
+        return {"spread": Parameter(0.0, 0.5, 0.0, "", ())}
+
+    @classmethod
     def units(cls, robot: Robot, conditions: SessionConditions) -> dict[str, str]:
         """Return the unit of what is reported."""
         return {"spread": ""}

@@ -18,7 +18,7 @@ class Obstacle(Task):
     def __init__(self, robot: Robot, config: "Config", arena: Arena | None = None) -> None:
         super().__init__(robot, config, arena)
         self.config: Config = config
-        self.observation_names = observations.target_names() + observations.obstacle_names(1)
+        self.surrounding_names = observations.target_names() + observations.obstacle_names(1)
         self._check_distance()
 
     @property

@@ -13,7 +13,7 @@ class Visit(Task):
     """The nearer to the place, the better."""
 
     ends_early = False
-    observation_names = target_names()
+    surrounding_names = target_names()
 
     def draw(self, rng, worlds):
         position = rng.uniform(*self.start_room_mm, (worlds, self.vehicles, 2))

@@ -1,0 +1,53 @@
+"""What a diagnosis measured on robots as ranges: what was found as a gap is what a policy can be trained against."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from swarmtwin.diagnosis.result import Cause
+from swarmtwin.diagnosis.saved_diagnosis import read_result
+from swarmtwin.errors import UserError
+from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.simulation.simulation import Simulation
+
+log = logging.getLogger(__name__)
+
+
+def measured_ranges(folder: Path, simulation: Simulation) -> dict[str, dict[str, list[float]]]:
+    """Return the causes that a diagnosis names, with the intervals of their parameters, within the bounds of these.
+
+    Args:
+        folder: as `diagnose` left it.
+        simulation: that the ranges are for.
+
+    Raises:
+        UserError: the folder holds no diagnosis, one of another robot, or one that names no cause with ranges.
+    """
+    result = read_result(folder)
+    if result.robot != simulation.robot.name:
+        raise UserError(
+            f"{folder} is a diagnosis of robot {result.robot!r}, and the simulation is of {simulation.robot.name!r}: "
+            "name another"
+        )
+    ranges = {cause.name: _ranges_of(cause, simulation) for cause in result.causes}
+    for name in [name for name, found in ranges.items() if not found]:
+        log.warning("%s: %s is not reported by its parameters, and is not randomised", folder, name)
+        del ranges[name]
+    if not ranges:
+        raise UserError(
+            f"{folder}: the diagnosis ({result.verdict}) names no cause with ranges of its parameters: state ranges "
+            "yourself, randomisation={command_delay: {delay_s: [0.0, 0.2]}}"
+        )
+    return ranges
+
+
+def _ranges_of(cause: Cause, simulation: Simulation) -> dict[str, list[float]]:
+    """Return the intervals of a cause's parameters; nothing where it is reported otherwise than by these."""
+    bounds = mechanism_class(cause.name).bounds_of(simulation.robot, simulation.conditions)
+    if set(bounds) != set(cause.parameters):
+        return {}
+    return {
+        name: [float(np.clip(end, bounds[name].low, bounds[name].high)) for end in (found.low, found.high)]
+        for name, found in cause.parameters.items()
+    }
