@@ -51,6 +51,8 @@ def check_inputs(command: str, content: Mapping[str, Any]) -> None:
             raise UserError(f"robots: no such robot: {name!r}: {near_miss(str(name), config_files('robot'))}")
         if "artifacts" in content:
             _check_compared(Path(content["artifacts"]) / "comparison" / str(name))
+    for named in content.get("simulations", {}).values():
+        _model(str(named), options.robot)
     left_out = _check_choice(command, content, options)
     for option, check in INPUTS.items():
         value: Any = content
