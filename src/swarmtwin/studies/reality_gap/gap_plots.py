@@ -78,6 +78,8 @@ def learning_figure(history: pd.DataFrame, simulations: Sequence[str]) -> Figure
                     named = None if number else simulation
                     axes.plot(own.step, factor * own[quantity], color=f"C{index}", alpha=0.85, label=named)
             axes.set(xlabel="control periods trained", ylabel=label)
+            if quantity != "reward":
+                axes.set(ylim=(-3, 103))
         handles = figure.axes[0].get_legend_handles_labels()
         figure.legend(*handles, loc="outside lower center", ncols=len(simulations))
     return figure
