@@ -90,17 +90,19 @@ def _rate(row: dict[Any, Any]) -> str:
 
 def gap_table(title: str, lines: Sequence[Line], rollouts: int) -> Table:
     """Return the terminal's table: of each policy a line for its simulation, and under it one a group of stand-ins."""
-    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title, caption=caption(rollouts))
-    for heading in ("policy", "where"):
-        shown.add_column(heading, no_wrap=True)
+    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False, title=title)
+    shown.add_column("policy, where", no_wrap=True)
     for heading in ("reward", "success", "reality gap"):
-        shown.add_column(heading, justify="right")
+        shown.add_column(heading, justify="right", no_wrap=True)
     above: tuple[str, ...] = ()
     for line in lines:
         if line[:2] != above:
-            shown.add_row(line.policy, line.simulation, line.simulated_reward, line.simulated_success)
+            shown.add_row(" ".join(line[:2]), line.simulated_reward, line.simulated_success)
             above = line[:2]
-        shown.add_row("", f"  {line.where}", line.reward, line.success, line.gap)
+        if line.where:
+            shown.add_row(f"  {line.where}", line.reward, line.success, line.gap)
+    failed = [f"no policy in {line.simulation}: {line.gap}" for line in lines if not line.where]
+    shown.caption = "\n".join([*failed, caption(rollouts)])
     return shown
 
 
@@ -116,6 +118,6 @@ def caption(rollouts: int) -> str:
     return (
         f"{rollouts} roll-outs from the same starts, in the simulation and on stand-ins; reward a vehicle and step, "
         "mean ± standard deviation over roll-outs; reality gap: the reward on stand-ins less that in the simulation; "
-        "it and success with 95 % intervals; the paper's: ten roll-outs, without intervals; "
+        "it and success with 95 % intervals; the paper's: ten roll-outs on its robots, without intervals; "
         "scripted and random: one and the same policy in every simulation"
     )
