@@ -12,16 +12,10 @@ from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.studies.reality_gap.gap_plots import draw_gaps, gaps_figure, learning_figure
-from swarmtwin.studies.reality_gap.gap_rollouts import (
-    PolicyRollouts,
-    RandomCommands,
-    gap_metrics,
-    gap_rows,
-    roll_out_everywhere,
-    stand_in_motions,
-)
+from swarmtwin.studies.reality_gap.gap_rollouts import PolicyRollouts, gap_metrics, gap_rows
 from swarmtwin.studies.reality_gap.gap_table import gap_lines, gap_markdown
 from swarmtwin.studies.reality_gap.options import PublishedRow, StandIns
+from swarmtwin.studies.reality_gap.same_starts import RandomCommands, roll_out_everywhere, stand_in_motions
 from swarmtwin.world.motion import SimulatedMotion
 from tiny_policies import CONF, robot_named, seeker, simulation, task_named
 

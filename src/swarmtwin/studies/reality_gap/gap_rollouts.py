@@ -1,28 +1,15 @@
-"""Roll-outs of one policy from the same starts, in simulations and on stand-ins, and how they differ."""
+"""Roll-outs of one policy from the same starts, in simulations and on stand-ins: kept, and how they differ."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from swarmtwin.errors import UserError
 from swarmtwin.policies.rollout_comparison import plain_figures, reward_difference, reward_gap
-from swarmtwin.robot import Robot
-from swarmtwin.standin.effects import parse_effects
-from swarmtwin.standin.live import LiveVehicles
-from swarmtwin.studies.reality_gap.options import StandIns
-from swarmtwin.world.motion import Motion
-from swarmtwin.world.rollout import Act, Rate, Rollout, RolloutFigures, figures_of, play
+from swarmtwin.world.rollout import Rate, Rollout, RolloutFigures, figures_of
 from swarmtwin.world.rollout_storage import load_rollouts, save_rollouts
-from swarmtwin.world.scenario import Scenario
-from swarmtwin.world.task import Task
 
 LEARNED, SCRIPTED, RANDOM = "learned", "scripted", "random"
-
-MakeMotion = Callable[[], Motion]
-"""Gives what moves the vehicles of all roll-outs, with chances of its own from the beginning."""
 
 
 @dataclass(frozen=True)
@@ -59,60 +46,6 @@ class PolicyRollouts:
         simulated = {name: rollout for name, rollout in rollouts.items() if name in simulations}
         real = {name: rollout for name, rollout in rollouts.items() if name not in simulations}
         return cls(file.stem.split(" in ")[0], simulated, real)
-
-
-class RandomCommands:
-    """Commands drawn evenly between the robot's limits: the same ones, in the same order, wherever it begins anew."""
-
-    def __init__(self, robot: Robot, seed: int) -> None:
-        self.robot = robot
-        self._rng = np.random.default_rng(seed)
-
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """Return commands (W, K, m) for the observations (W, K, o) of W · K vehicles."""
-        shape = (*observation.shape[:2], len(self.robot.command))
-        return self._rng.uniform(self.robot.command_low, self.robot.command_high, shape)
-
-
-def stand_in_motions(groups: Mapping[str, StandIns], task: Task, worlds: int, seed: int) -> dict[str, MakeMotion]:
-    """Return what moves the vehicles of `worlds` roll-outs of a task, by group of stand-ins.
-
-    Raises:
-        UserError: a group has too few vehicles, names one twice, or is told an effect that makes no sense.
-    """
-    motions: dict[str, MakeMotion] = {}
-    for name, group in groups.items():
-        if len(group.vehicles) < task.vehicles:
-            raise UserError(
-                f"stand_ins.{name}.vehicles are {len(group.vehicles)}, task {task.config.name!r} is for "
-                f"{task.vehicles}: give {task.vehicles} ids or more, the first ones drive"
-            )
-        motions[name] = _stand_ins(group, task, worlds, seed)
-        motions[name]()
-    return motions
-
-
-def _stand_ins(group: StandIns, task: Task, worlds: int, seed: int) -> MakeMotion:
-    vehicles = group.vehicles[: task.vehicles]
-    effects = parse_effects(group.effects, task.robot, task.vehicles)
-    return lambda: LiveVehicles(task.robot, vehicles, worlds, seed, effects, planned_steps=task.steps)
-
-
-def roll_out_everywhere(
-    task: Task, scenario: Scenario, motions: Mapping[str, MakeMotion], policy: Callable[[], Act]
-) -> dict[str, Rollout]:
-    """Roll a policy out from the same starts, moved by each of some motions.
-
-    Args:
-        task: what is asked of the vehicles.
-        scenario: where the roll-outs begin.
-        motions: what moves the vehicles, by name.
-        policy: gives the policy as it begins.
-
-    Raises:
-        UserError: the policy gives a command, or a simulation a displacement, that is not finite.
-    """
-    return {name: play(task, motion(), scenario, policy()) for name, motion in motions.items()}
 
 
 def gap_rows(rollouts: PolicyRollouts) -> Iterator[dict[str, Any]]:

@@ -21,17 +21,19 @@ from swarmtwin.studies.reality_gap.gap_rollouts import (
     LEARNED,
     RANDOM,
     SCRIPTED,
-    MakeMotion,
     PolicyRollouts,
-    RandomCommands,
     gap_metrics,
     gap_rows,
-    roll_out_everywhere,
-    stand_in_motions,
 )
 from swarmtwin.studies.reality_gap.gap_table import Line, gap_lines, gap_markdown, gap_table
 from swarmtwin.studies.reality_gap.learned_policies import Candidate, Learned, learn_in, learning_table, load_candidates
 from swarmtwin.studies.reality_gap.options import GapOptions
+from swarmtwin.studies.reality_gap.same_starts import (
+    MakeMotion,
+    RandomCommands,
+    roll_out_everywhere,
+    stand_in_motions,
+)
 from swarmtwin.studies.tracked_inputs import recording_input
 from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
