@@ -37,6 +37,8 @@ MISTAKES = [
     ("promote what=policy candidate=models:x", "'models:x' names no model"),
     ("experiment name=dynamics output=o", "no folder artifacts/dynamics/mgr with models: run `dvc repro` first"),
     ("experiment name=transfer policies=empty output=o", "empty holds no policy of robot 'mgr'"),
+    ("experiment name=table5 output=o", "no simulation in artifacts/dynamics/mgr/fcnn: run `dvc repro` first, or give"),
+    ("experiment name=table6 simulations.FC-NN=model output=o", "model is a model of robot 'mur': add robot=mur"),
     ("experiment name=overview", "artifacts/comparison/mgr holds no comparison of models: run `dvc repro` first"),
     ("experiment name=pictures folder=empty output=o", "empty holds no output of swarmtwin"),
     ("train -m robot=nosuch model=mlp,gru", "no such robot: 'nosuch'"),

@@ -51,6 +51,9 @@ def check_inputs(command: str, content: Mapping[str, Any]) -> None:
             raise UserError(f"robots: no such robot: {name!r}: {near_miss(str(name), config_files('robot'))}")
         if "artifacts" in content:
             _check_compared(Path(content["artifacts"]) / "comparison" / str(name))
+    for name, named in (content.get("simulations") or {}).items():
+        if isinstance(named, str):
+            _compared_simulation(str(name), named, options.robot)
     left_out = _check_choice(command, content, options)
     for option, check in INPUTS.items():
         value: Any = content
@@ -111,6 +114,12 @@ def _model(named: str, robot: Robot, file: str = "model.yaml", holds: str = "mod
         found = re.search(r"^robot:\n(?: .*\n)*?  name: (\w+)\n", text, re.MULTILINE)
         if found and found[1] != robot.name:
             raise UserError(f"{folder} is a {holds} of robot {found[1]!r}: add robot={found[1]}")
+
+
+def _compared_simulation(name: str, named: str, robot: Robot) -> None:
+    if Path(named).is_relative_to("artifacts") and not Path(named).is_dir():
+        raise UserError(f"no simulation in {named}: run `dvc repro` first, or give simulations.{name}=...")
+    _model(named, robot)
 
 
 def _policy(named: str, robot: Robot) -> None:

@@ -59,6 +59,12 @@ def save_learned(
         "seeds": {str(outcome.seed): outcome.best.model_dump() if outcome.best else None for outcome in outcomes},
     }
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
-    history = [{"seed": result.seed, **evaluation.model_dump()} for result in results for evaluation in result.history]
-    pd.DataFrame(history).to_csv(folder / "history.csv", index=False, float_format="%.5f")
+    history_table(results).to_csv(folder / "history.csv", index=False, float_format="%.5f")
     return provenance
+
+
+def history_table(results: Sequence[SeedResult]) -> pd.DataFrame:
+    """Return the evaluations of all seeds while they learned, a row each."""
+    return pd.DataFrame(
+        [{"seed": result.seed, **evaluation.model_dump()} for result in results for evaluation in result.history]
+    )

@@ -16,6 +16,7 @@ from swarmtwin.policies.rollout_plots import draw_rollout
 from swarmtwin.robot import StrictModel
 from swarmtwin.simulation.evaluation_plots import draw_evaluation
 from swarmtwin.studies.dynamics.comparison_plots import draw_comparison
+from swarmtwin.studies.reality_gap.gap_plots import draw_gaps
 from swarmtwin.studies.synthetic.error_plots import draw_cases
 from swarmtwin.studies.transfer.transfer_plots import draw_transfer
 from swarmtwin.tracking.runs import keep_with_run
@@ -32,6 +33,8 @@ DRAWINGS: dict[str, Callable[[Path, Path], None]] = {
     "experiment dynamics": draw_comparison,
     "experiment synthetic": draw_cases,
     "experiment transfer": draw_transfer,
+    "experiment table5": draw_gaps,
+    "experiment table6": draw_gaps,
 }
 """What draws the output of a command; each is given that folder and one to draw into."""
 

@@ -1,0 +1,125 @@
+"""Policies learned in simulations that are compared: what came of each, and how it learned."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+
+from swarmtwin.errors import UserError
+from swarmtwin.files import CHECKPOINTS
+from swarmtwin.learning.device import torch_device
+from swarmtwin.learning.progress_bars import training_bars
+from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
+from swarmtwin.policies.learned_folder import history_table, origin_of, save_learned
+from swarmtwin.policies.policy_folder import SimulationOrigin, StoredPolicy, load_policy
+from swarmtwin.policies.training import PolicyJob, Schedule, learn_all, task_in
+from swarmtwin.simulation.evaluation import load_simulation
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.studies.reality_gap.options import GapOptions
+from swarmtwin.tracking import registry
+from swarmtwin.world.task import Task, task_config
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A simulation that policies are learned in.
+
+    Attributes:
+        name: in the table.
+        folder: where it lies.
+        origin: what it is.
+        simulation: loaded.
+        task: as it is done in the simulation's arena.
+    """
+
+    name: str
+    folder: Path
+    origin: SimulationOrigin
+    simulation: Simulation
+    task: Task
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What came of learning in a simulation.
+
+    Attributes:
+        policy: the best of all seeds; None where all have failed.
+        failed: why there is none.
+        history: the evaluations of all seeds while they learned.
+    """
+
+    policy: StoredPolicy | None
+    failed: str | None
+    history: pd.DataFrame
+
+
+def load_candidates(options: GapOptions) -> list[Candidate]:
+    """Load the simulations; all must do the task in the same arena, or roll-outs could not begin alike.
+
+    Raises:
+        UserError: one is missing, of another robot, cannot do the task, or has another arena than the first.
+    """
+    candidates = [_candidate(name, reference, options) for name, reference in options.simulations.items()]
+    first = candidates[0]
+    for other in candidates[1:]:
+        if other.task.arena != first.task.arena:
+            raise UserError(
+                f"simulations {first.name!r} and {other.name!r} were learned in different arenas, so that roll-outs "
+                "cannot begin alike: compare simulations of one arena"
+            )
+    return candidates
+
+
+def _candidate(name: str, reference: str, options: GapOptions) -> Candidate:
+    folder = registry.model_folder(reference)
+    simulation, _ = load_simulation(folder, options.robot)
+    task = task_in(folder, options.robot, task_config(options.task, "task"), options.sampled)
+    on_device = simulation.to(torch_device(options.device))
+    return Candidate(name, folder, origin_of(reference, folder), on_device, task)
+
+
+def learn_in(candidate: Candidate, options: GapOptions, output: Path) -> Learned:
+    """Learn a policy with all seeds, going on from the checkpoints in `output`, and save the best in `policies/` there.
+
+    Where all seeds have failed there is no policy: a simulation in which nothing can be learned is a result.
+    """
+    algorithm = algorithm_config(options.policy, "policy")
+    jobs = _jobs(candidate, options, algorithm, output / CHECKPOINTS)
+    with training_bars(
+        f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}", algorithm.steps
+    ) as report:
+        results = learn_all(jobs, report)
+    history = history_table(results)
+    if all(result.failed for result in results):
+        return Learned(None, "; ".join(f"seed {result.seed}: {result.failed}" for result in results), history)
+    folder = output / "policies" / candidate.name
+    folder.mkdir(parents=True)
+    save_learned(folder, candidate.task, jobs[0], results, candidate.origin)
+    return Learned(load_policy(folder, options.robot), None, history)
+
+
+def learning_table(learned: Mapping[str, Learned]) -> pd.DataFrame:
+    """Return learning.csv: the evaluations of all seeds in all simulations while they learned."""
+    return pd.concat([one.history.assign(simulation=name) for name, one in learned.items()])
+
+
+def _jobs(candidate: Candidate, options: GapOptions, algorithm: AlgorithmConfig, checkpoints: Path) -> list[PolicyJob]:
+    schedule = Schedule(steps=algorithm.steps, evaluate_every=options.evaluate_every, scenes=options.scenes)
+    first = PolicyJob(
+        robot=options.robot,
+        task=candidate.task.config,
+        algorithm=algorithm,
+        schedule=schedule,
+        simulation=candidate.folder,
+        digest=candidate.origin.digest,
+        seed=options.seed,
+        checkpoint=None,
+        sampled=options.sampled,
+        device=options.device,
+        tabulated=options.tabulated,
+        table=options.table,
+    )
+    seeds = range(options.seed, options.seed + options.seeds)
+    return [first._replace(seed=seed, checkpoint=checkpoints / f"{candidate.name}-seed-{seed}.ckpt") for seed in seeds]
