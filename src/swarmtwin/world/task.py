@@ -212,8 +212,9 @@ class Task(ABC):
 
     def target_distance_mm(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return how far each vehicle is from the target it seeks, (W, K); NaN where there is none."""
-        away = pose[..., :2] - scenario.target_of_each
-        return np.asarray(np.sqrt(away[..., 0] ** 2 + away[..., 1] ** 2))
+        target = scenario.target_of_each
+        away_x, away_y = pose[..., 0] - target[..., 0], pose[..., 1] - target[..., 1]
+        return np.asarray(np.sqrt(away_x * away_x + away_y * away_y))
 
     def refusal(self, what: str, remedy: str) -> UserError:
         """Return the error that says why this robot cannot do this task, and what to change."""

@@ -59,7 +59,7 @@ def gaps_figure(table: pd.DataFrame, simulations: Sequence[str]) -> Figure:
 def _draw_gaps(panel: Axes, rows: pd.DataFrame, simulations: Sequence[str], groups: Sequence[str]) -> None:
     panel.axvline(0.0, color=MEASURED, linewidth=0.8)
     for index, group in enumerate(groups):
-        own = rows[rows["where"] == group].set_index("simulation").reindex(simulations)
+        own = rows[rows["where"] == group].set_index("simulation").reindex(list(simulations))
         place = np.arange(len(simulations)) + 0.2 * (index - (len(groups) - 1) / 2)
         reach = np.stack([own.gap - own.gap_low, own.gap_high - own.gap])
         panel.errorbar(own.gap, place, xerr=reach, fmt="o", color=f"C{index}", markersize=4, capsize=2, label=group)

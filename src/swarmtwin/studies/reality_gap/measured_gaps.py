@@ -114,8 +114,8 @@ def _all_rollouts(
         SCRIPTED: partial(_as_is, ScriptedPolicy(task).act),
         RANDOM: partial(_random_commands, options),
     }
-    for name, begin in baselines.items():
-        rollouts.append(PolicyRollouts(name, everywhere(simulated, begin), everywhere(real, begin)))
+    for name, start in baselines.items():
+        rollouts.append(PolicyRollouts(name, everywhere(simulated, start), everywhere(real, start)))
     return rollouts
 
 
@@ -180,4 +180,4 @@ def _headline(table: pd.DataFrame) -> dict[str, float]:
     """Return, of each policy learned, gap and success on average over the groups of stand-ins."""
     real = table[(table.policy == LEARNED) & (table["where"] != "simulation")]
     means = real.groupby("simulation", sort=False)[["gap", "success"]].mean()
-    return {f"{name} {quantity}": float(means.loc[name, quantity]) for name in means.index for quantity in means}
+    return {f"{name} {quantity}": float(mean) for quantity in means for name, mean in means[quantity].items()}

@@ -84,6 +84,7 @@ def _compare_all(pose, place, mm, shown, sees_walls, observation, near_others, c
     forward, left, third = np.empty(width, number), np.empty(width, number), np.empty(width, number)
     fourth, fifth = np.empty(width, number), np.empty(width, number)
     near, hit, column = np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(width, np.int32)
+    are_all_shown = shown == vehicles - 1 and mm.within >= 1e30
     for first in range(0, worlds, width):
         count = min(width, worlds - first)
         lanes.load(pose, first, count, x, y, cos, sin)
@@ -104,8 +105,10 @@ def _compare_all(pose, place, mm, shown, sees_walls, observation, near_others, c
                 collided[world, own] = hit[own, lane] > 0
                 outside[world, own] = lanes.is_outside(x[own, lane], y[own, lane], mm.arena, mm.outside)
                 lost[world] |= lanes.is_outside(x[own, lane], y[own, lane], mm.arena, mm.lost)
-                for rank in range(shown if shown >= vehicles or mm.within < 1e30 else 0):
-                    _write_nobody(observation[world, own], 5 + 5 * rank, mm)
+            if not are_all_shown:
+                for lane in range(count):
+                    for rank in range(shown):
+                        _write_nobody(observation[first + lane, own], 5 + 5 * rank, mm)
             for other in range(vehicles):
                 if other == own:
                     continue
@@ -115,6 +118,11 @@ def _compare_all(pose, place, mm, shown, sees_walls, observation, near_others, c
                 for lane in range(width):
                     fourth[lane] = cos[other, lane] * cos[own, lane] + sin[other, lane] * sin[own, lane]
                     fifth[lane] = sin[other, lane] * cos[own, lane] - cos[other, lane] * sin[own, lane]
+                if are_all_shown:
+                    for lane in range(count):
+                        row, closeness = observation[first + lane, own], close[own, other, lane]
+                        _write(row, column[lane], forward[lane], left[lane], closeness, fourth[lane], fifth[lane])
+                    continue
                 for lane in range(count):
                     row, closeness = observation[first + lane, own], close[own, other, lane]
                     if column[lane] <= 5 * shown and distance[own, other, lane] <= mm.within:

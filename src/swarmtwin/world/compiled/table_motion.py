@@ -115,22 +115,27 @@ def _move(table, points, low, per_unit, spread, usual, command, drawn, pose, mov
     The table holds displacements of commands on a grid, (points^m, 3), linear between. `drawn` is (N, 3) of normal
     numbers, or empty; `spread` (2, 3) the variance of a twist at rest and its growth with the motion: `MotionNoise`.
     """
+    columns, last = command.shape[1], np.float32(points - 1)
     forward, left, turn = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
+    below, share = np.empty((columns, width), np.int32), np.empty((columns, width), np.float32)
     cell, weight = np.empty(width, np.int32), np.empty(width, np.float32)
     for first in range(0, len(command), width):
         count = min(width, len(command) - first)
+        for column in range(columns):
+            least, scale = np.float32(low[column]), np.float32(per_unit[column])
+            for lane in range(count):
+                place = (np.float32(command[first + lane, column]) - least) * scale
+                place = min(max(place, np.float32(0.0)), last)
+                below[column, lane] = min(np.int32(place), np.int32(points - 2))
+                share[column, lane] = place - np.float32(below[column, lane])
         forward[:], left[:], turn[:] = 0, 0, 0
-        for corner in range(1 << command.shape[1]):
+        for corner in range(1 << columns):
             cell[:], weight[:] = 0, 1
-            for column in range(command.shape[1]):
+            for column in range(columns):
                 above = np.int32((corner >> column) & 1)
                 for lane in range(count):
-                    place = np.float32((command[first + lane, column] - low[column]) * per_unit[column])
-                    place = min(max(place, np.float32(0.0)), np.float32(points - 1))
-                    below = min(np.int32(place), np.int32(points - 2))
-                    share = place - np.float32(below)
-                    weight[lane] *= share if above else np.float32(1.0) - share
-                    cell[lane] = cell[lane] * np.int32(points) + below + above
+                    weight[lane] *= share[column, lane] if above else np.float32(1.0) - share[column, lane]
+                    cell[lane] = cell[lane] * np.int32(points) + below[column, lane] + above
             for lane in range(count):
                 forward[lane] += weight[lane] * table[cell[lane], 0]
                 left[lane] += weight[lane] * table[cell[lane], 1]
