@@ -114,7 +114,7 @@ def test_a_table_moves_vehicles_as_the_simulation_does():
         command = random.uniform(1.2 * low, 1.2 * high, (40, 3, 2))
         expected, moved = plain.move(command), fast.move(command)
         assert moved[..., :2] == pytest.approx(expected[..., :2], abs=0.01)
-        assert np.exp(1j * moved[..., 2]) == pytest.approx(np.exp(1j * expected[..., 2]), abs=1e-5)
+        assert np.exp(1j * moved[..., 2]) == pytest.approx(np.exp(1j * expected[..., 2]), abs=3e-5)  # float32, added up
         assert (np.abs(moved[..., 2]) <= np.pi).all()
 
 
