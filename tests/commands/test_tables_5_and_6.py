@@ -114,7 +114,7 @@ def test_a_simulation_in_which_nothing_is_learned_is_a_result(place):
     metrics = json.loads((place / "out" / "metrics.json").read_text())
     assert metrics["task"] == "collective"
     found = metrics["simulations"]["CR-Net-S"]
-    assert found["failed"] == "seed 1: it never succeeded in the evaluation scenarios"
+    assert found["failed"] == "seed 1: it never succeeded in the final scenarios"
     assert set(found["policies"]) == {"scripted", "random"}
     text = (place / "out" / "table.md").read_text()
     assert "| learned | CR-Net-S | no policy |  |  |  |  | seed 1: it never succeeded" in text
