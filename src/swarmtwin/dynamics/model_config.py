@@ -7,6 +7,7 @@ from pydantic import Field, field_validator
 from torch import nn
 
 from swarmtwin.dynamics import models
+from swarmtwin.learning.batches import Examples
 from swarmtwin.learning.encoding import Encoding, ScalingMethod
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.robot import Positive, Robot, SituationPart, StrictModel
@@ -60,6 +61,21 @@ class ModelConfig(StrictModel):
 
         Raises:
             UserError: the model does not fit this robot.
+        """
+
+
+class FittedModelConfig(ModelConfig):
+    """The configuration of a model that is fitted in one go, not by gradient steps: no recipe has a say in it."""
+
+    @abstractmethod
+    def fit(self, network: nn.Module, train: Examples, validation: Examples, seed: int) -> None:
+        """Fit what `build` made to the scaled examples of the training split, on the CPU.
+
+        Args:
+            network: to fit.
+            train: to fit it to.
+            validation: to choose by, where there is something to choose.
+            seed: of all that is drawn.
         """
 
 

@@ -7,9 +7,11 @@ from typing import Protocol, Self
 import torch
 from torch import Tensor, nn
 
+from swarmtwin.dynamics.mean_variance import MeanVarianceEnsemble
 from swarmtwin.dynamics.model_config import ModelConfig
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.errors import UserError
+from swarmtwin.geometry import wrap_angle
 from swarmtwin.learning.encoding import Scaling
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Arena, Robot, SituationPart
@@ -124,3 +126,49 @@ class NetworkDynamics(DynamicsModule):
             parts = (asked[start : start + self.batch_size].to(self.device).to(torch.float32) for start in starts)
             batches = [self(part) for part in parts]
             return torch.cat(batches).to(asked.command.device)
+
+    @property
+    def drawn_members(self) -> int:
+        """How many members a vehicle draws one of in a sampled simulation; 0 where the network states no spread."""
+        return self.network.members if isinstance(self.network, MeanVarianceEnsemble) else 0
+
+    def moments(self, situation: Situation) -> tuple[Tensor, Tensor]:
+        """Return mean and variance of the displacements that a camera measures, as each of M members has them.
+
+        Only a model with `drawn_members` knows them: (M, N, 3) each, float64, calibrated, in mm, mm and rad.
+        """
+        network = self.network
+        assert isinstance(network, MeanVarianceEnsemble)
+        asked = situation.only(self.inputs).to(self.device).to(torch.float32)
+        with torch.inference_mode():
+            mean, variance = (part.double() for part in network.moments(self.encoding(asked)))
+            scale = self.output_scaling.scale
+            moments = self.output_scaling.inverse(mean), variance * (scale * network.spread_factor) ** 2
+            return moments[0].to(situation.command.device), moments[1].to(situation.command.device)
+
+    def sample(self, situation: Situation, rng: torch.Generator, member: Tensor | None = None) -> Tensor:
+        """Draw displacements (N, 3), float64, around the expected ones; the camera's noise is not among it.
+
+        Args:
+            situation: of N vehicles.
+            rng: of all that is drawn.
+            member: (N,) of a model with `drawn_members`, who answers for each vehicle; −1: the distribution that has
+                mean and variance of all members together. None: each vehicle draws a member.
+
+        Raises:
+            UserError: the spread is not known.
+        """
+        if not self.drawn_members:
+            return super().sample(situation, rng)
+        mean, variance = self.moments(situation)
+        together = variance.mean(dim=0) + mean.var(dim=0, correction=0)
+        mean, variance = torch.cat([mean, mean.mean(dim=0)[None]]), torch.cat([variance, together[None]])
+        count = len(situation)
+        if member is None:
+            member = torch.randint(self.drawn_members, (count,), generator=rng, device=rng.device).to(mean.device)
+        row = torch.arange(count, device=mean.device)
+        camera = mean.new_tensor(self.motion_noise.camera if self.motion_noise else (0.0, 0.0, 0.0))
+        of_motion = (variance[member, row] - 2 * camera).clamp(min=0.0)  # two poses were measured, each with its noise
+        drawn = torch.randn(count, 3, generator=rng, dtype=mean.dtype, device=rng.device).to(mean.device)
+        moved = mean[member, row] + of_motion.sqrt() * drawn
+        return torch.cat([moved[:, :2], wrap_angle(moved[:, 2:])], dim=-1)

@@ -13,15 +13,17 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.dynamics.model_config import ModelConfig
+from swarmtwin.dynamics.evaluation import ErrorFigure, predict
+from swarmtwin.dynamics.model_config import FittedModelConfig, ModelConfig
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.dynamics.spread import calibrate_spread
 from swarmtwin.dynamics.training_module import Epoch, EpochHistory, EpochReport, TrainingModule
 from swarmtwin.errors import UserError
 from swarmtwin.learning.batches import OrderedBatches, ShuffledBatches, TensorSplits, tensor_splits
 from swarmtwin.learning.dead_outputs import dead_outputs
 from swarmtwin.learning.device import Device, reproducible, torch_device
+from swarmtwin.learning.ensemble import bootstrap_counts
 from swarmtwin.learning.parallel import cores, run_side_by_side
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.learning.trainer import run_trainer
@@ -84,6 +86,8 @@ class TrainingJob(NamedTuple):
         """
         data = self._data()
         with reproducible(self.seed, self.device):
+            if isinstance(self.config, FittedModelConfig):
+                return self._fitted(self.config, data, report)
             module, batches = self._prepared(data)
             history = EpochHistory(self.seed, self._identity(data), batches, self.checkpoint, report)
             resume_from = history.read_checkpoint()
@@ -100,12 +104,33 @@ class TrainingJob(NamedTuple):
                 )
             dynamics = module.dynamics.cpu()
             dynamics.load_state_dict(history.best_weights or dynamics.state_dict())
-            weights = {name: tensor.numpy().copy() for name, tensor in dynamics.state_dict().items()}
             dead = _why_dead(dynamics.eval(), history, len(batches), data)
-        return SeedResult(self.seed, tuple(history.errors), weights, history.best_epoch, history.best_loss, dead)
+        errors = tuple(history.errors)
+        return SeedResult(self.seed, errors, _arrays(dynamics), history.best_epoch, history.best_loss, dead)
+
+    def _fitted(self, config: FittedModelConfig, data: TensorSplits, report: EpochReport | None) -> SeedResult:
+        """Fit in one go: the history has one entry, and there is nothing to continue."""
+        dynamics = NetworkDynamics(data.robot, config)
+        dynamics.learn_scaling(*data.train, data.arena_mm)
+        train, validation = (
+            (dynamics.encoding(situation), dynamics.output_scaling(displacement))
+            for situation, displacement in (data.train, data.validation)
+        )
+        config.fit(dynamics.network, train, validation, self.seed)
+        fitted, unseen = (
+            ErrorFigure.between(dynamics.eval().predict(situation).numpy().astype(float), displacement.numpy())
+            for situation, displacement in (data.train, data.validation)
+        )
+        epoch = Epoch(fitted.position_mm, fitted.orientation_deg, unseen.position_mm, unseen.orientation_deg)
+        if report:
+            report(self.seed, self.epochs, epoch)
+        loss = unseen.position_mm + self.recipe.heading_weight * math.radians(unseen.orientation_deg)
+        return SeedResult(self.seed, (epoch,), _arrays(dynamics), 1, loss, _constant_outputs(dynamics, data))
 
     def expected_s(self) -> float:
-        """Estimate how long `run` takes, from the second of two steps."""
+        """Estimate how long `run` takes, from the second of two steps; 0 for what is fitted in one go."""
+        if isinstance(self.config, FittedModelConfig):
+            return 0.0
         data = self._data()
         with reproducible(self.seed, self.device):
             module, batches = self._prepared(data)
@@ -125,7 +150,12 @@ class TrainingJob(NamedTuple):
         dynamics = NetworkDynamics(data.robot, self.config)
         dynamics.learn_scaling(*data.train, data.arena_mm)
         on_device = data.to(torch_device(self.device))
-        batches = ShuffledBatches(*on_device.train, size=self.recipe.batch_size, seed=self.seed)
+        counts = None
+        if dynamics.drawn_members:
+            learned = self.transitions.part("train")
+            drawn = bootstrap_counts(learned.vehicle, learned.run, dynamics.drawn_members, self.seed)
+            counts = torch.as_tensor(drawn, dtype=torch.float32, device=torch_device(self.device))
+        batches = ShuffledBatches(*on_device.train, self.recipe.batch_size, self.seed, counts)
         return TrainingModule(dynamics, self.recipe, self.epochs * len(batches)), batches
 
     def _identity(self, data: TensorSplits) -> str:
@@ -133,11 +163,19 @@ class TrainingJob(NamedTuple):
         return hashlib.sha256(json.dumps([*settings, data.digest(), self.seed]).encode()).hexdigest()
 
 
+def _arrays(dynamics: NetworkDynamics) -> dict[str, np.ndarray]:
+    return {name: tensor.numpy().copy() for name, tensor in dynamics.state_dict().items()}
+
+
 def _why_dead(dynamics: NetworkDynamics, history: EpochHistory, steps_an_epoch: int, data: TensorSplits) -> str | None:
     if history.diverged:
         return f"the errors were no longer finite in epoch {len(history.errors)}"
     if len(history.errors) * steps_an_epoch < 100:  # a live network can still be as good as constant
         return None
+    return _constant_outputs(dynamics, data)
+
+
+def _constant_outputs(dynamics: NetworkDynamics, data: TensorSplits) -> str | None:
     situation, displacement = data.validation
     with torch.inference_mode():
         inputs = dynamics.encoding(situation)
@@ -232,6 +270,8 @@ def train(
     weights = {name: torch.from_numpy(values) for name, values in best.weights.items()}
     dynamics = NetworkDynamics.with_weights(transitions.robot, config, weights)
     dynamics.motion_noise = _motion_noise(dynamics, transitions)
+    if dynamics.drawn_members:
+        calibrate_spread(dynamics, transitions.part("validation"))
     return Trained(dynamics, best.seed, recipe, tuple(results))
 
 

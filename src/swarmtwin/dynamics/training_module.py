@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 from torch.optim.lr_scheduler import ReduceLROnPlateau
 
+from swarmtwin.dynamics.mean_variance import MeanVarianceEnsemble
 from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.files import whole_file
 from swarmtwin.geometry import wrap_angle
-from swarmtwin.learning.batches import Batch, ShuffledBatches, epoch_seed
+from swarmtwin.learning.batches import Batch, CountedBatch, ShuffledBatches, epoch_seed
 from swarmtwin.learning.recipe import Recipe
 
 log = logging.getLogger(__name__)
@@ -36,25 +37,37 @@ class TrainingModule(lightning.LightningModule):
         self.recipe = recipe
         self.steps = steps
 
-    def errors(self, batch: Batch) -> tuple[Tensor, Tensor]:
+    def errors(self, batch: Batch | CountedBatch) -> tuple[Tensor, Tensor]:
         """Return the mean position error in mm and the mean orientation error in rad over a batch, with gradients."""
-        situation, displacement = batch
+        situation, displacement, *_ = batch
         residual = self.dynamics(situation) - displacement
         position_mm = torch.linalg.vector_norm(residual[:, :2], dim=1).mean()
         return position_mm, wrap_angle(residual[:, 2]).abs().mean()
 
-    def training_step(self, batch: Batch, batch_index: int) -> dict[str, Tensor]:
-        """Take one step of the recipe's optimiser and schedule."""
-        optimiser = cast(Any, self.optimizers(use_pl_optimizer=False))
+    def loss(self, batch: Batch | CountedBatch) -> tuple[Tensor, Tensor]:
+        """Return the loss with gradients, and the errors: position in mm and orientation in rad, (2,)."""
+        network = self.dynamics.network
+        if isinstance(network, MeanVarianceEnsemble):
+            situation, displacement, counts = cast(CountedBatch, batch)
+            scaled = self.dynamics.output_scaling(displacement)
+            with torch.no_grad():
+                errors = torch.stack(self.errors(batch))
+            return network.loss(self.dynamics.encoding(situation), scaled, counts), errors
         position_mm, orientation_rad = self.errors(batch)
         loss = position_mm + self.recipe.heading_weight * orientation_rad
+        return loss, torch.stack([position_mm, orientation_rad]).detach()
+
+    def training_step(self, batch: Batch | CountedBatch, batch_index: int) -> dict[str, Tensor]:
+        """Take one step of the recipe's optimiser and schedule."""
+        optimiser = cast(Any, self.optimizers(use_pl_optimizer=False))
+        loss, errors = self.loss(batch)
         optimiser.zero_grad()
         self.manual_backward(loss)
         optimiser.step()
         scheduler = cast(Any, self.lr_schedulers())
         if not isinstance(scheduler, ReduceLROnPlateau):
             scheduler.step()
-        return {"loss": loss.detach(), "errors": torch.stack([position_mm, orientation_rad]).detach()}
+        return {"loss": loss.detach(), "errors": errors}
 
     def validation_step(self, batch: Batch, batch_index: int) -> dict[str, Tensor]:
         """Return the batch's mean errors, position in mm and orientation in rad."""

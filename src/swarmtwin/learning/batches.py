@@ -16,17 +16,27 @@ from swarmtwin.transitions.transitions import SPLITS, Split, Transitions
 Batch = tuple[Situation, Tensor]
 """N situations and the displacements (N, 3) that followed them."""
 
+CountedBatch = tuple[Situation, Tensor, Tensor]
+"""The same, and how often each counts for each of M members of an ensemble, (N, M)."""
+
+Examples = tuple[Tensor, Tensor]
+"""The same as networks see it: scaled inputs (N, columns) and scaled displacements (N, 3)."""
+
 
 class ShuffledBatches:
     """All transitions in a new order each epoch, which depends on seed and epoch alone; a short last batch is left out.
 
     Attributes:
         epoch: to be set before each pass.
+        counts: (N, M) how often each transition counts for each of M members, given out with it; None: there are none.
     """
 
-    def __init__(self, situation: Situation, displacement: Tensor, size: int, seed: int) -> None:
+    def __init__(
+        self, situation: Situation, displacement: Tensor, size: int, seed: int, counts: Tensor | None = None
+    ) -> None:
         self.situation = situation
         self.displacement = displacement
+        self.counts = counts
         self.size = min(size, len(situation))
         self.seed = seed
         self.epoch = 0
@@ -34,12 +44,13 @@ class ShuffledBatches:
     def __len__(self) -> int:
         return len(self.situation) // self.size
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[Batch | CountedBatch]:
         generator = torch.Generator().manual_seed(epoch_seed(self.seed, self.epoch))
         order = torch.randperm(len(self.situation), generator=generator)
         for start in range(0, len(self) * self.size, self.size):
             rows = order[start : start + self.size]
-            yield self.situation[rows], self.displacement[rows]
+            batch = self.situation[rows], self.displacement[rows]
+            yield batch if self.counts is None else (*batch, self.counts[rows])
 
 
 class OrderedBatches:

@@ -207,6 +207,33 @@ def learn(
     return ensemble.eval()
 
 
+def bootstrap_counts(vehicle: np.ndarray, run: np.ndarray, members: int, seed: int) -> np.ndarray:
+    """Say how often each row counts for each member, which learns from a resample of the vehicles and of their runs.
+
+    A bootstrap of clusters (Davison and Hinkley 1997, section 3.8): vehicles are drawn with replacement, as many as
+    there are, and for each of them its runs likewise. Of one vehicle only runs are drawn. So members differ by what
+    the recorded runs leave open, and by how unlike the recorded vehicles are.
+
+    Args:
+        vehicle: (N,) the vehicle of each row.
+        run: (N,) the run of each row.
+        members: M.
+        seed: of what is drawn.
+
+    Returns:
+        (N, M) whole numbers, 1 on average.
+    """
+    rng = np.random.default_rng(seed)
+    counts = np.zeros((len(run), members))
+    names, of_vehicle = np.unique(vehicle, return_inverse=True)
+    own_rows = [np.flatnonzero(of_vehicle == number) for number in range(len(names))]
+    for member in range(members):
+        for rows, times in zip(own_rows, rng.multinomial(len(names), np.full(len(names), 1 / len(names))), strict=True):
+            runs, of_run = np.unique(run[rows], return_inverse=True)
+            counts[rows, member] = rng.multinomial(times * len(runs), np.full(len(runs), 1 / len(runs)))[of_run]
+    return counts
+
+
 def folds_of(run: np.ndarray, count: int, split_runs: bool = False) -> np.ndarray:
     """Give each row a fold, whole runs in turn.
 

@@ -15,8 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
 from swarmtwin.geometry import log_map
+from swarmtwin.learning.situation import Situation
 from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics, CrossFitted
 from swarmtwin.simulation.mechanism import Moment
 
@@ -120,6 +121,14 @@ class BaseTwists:
         before, earlier = self.commands[1], self.commands[2]
         return self._predicted(self.commands[0], before, earlier)
 
+    def drawn_displacement(self, member: Tensor, rng: torch.Generator) -> Tensor:
+        """Draw displacements (N, 3) from what the model's members (N,) answer to the present command.
+
+        Of a model with `drawn_members` alone; −1 stands for all of them together.
+        """
+        assert isinstance(self.dynamics, NetworkDynamics)
+        return self.dynamics.sample(self._situation(*self.commands[:3]), rng, member)
+
     def at_setting(self, setting: Tensor, way: tuple[object, ...], delays: tuple[float, float]) -> Tensor:
         """Return the twists under a setting (N, m) held for long.
 
@@ -191,8 +200,10 @@ class BaseTwists:
         return log_map(self._predicted(command, previous, earlier))
 
     def _predicted(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
+        return self.dynamics.predict(self._situation(command, previous, earlier)).double()
+
+    def _situation(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Situation:
         moment = self.moment
         if self.clock_is_nominal:
             moment = replace(moment, duration_s=torch.full_like(moment.duration_s, moment.robot.period_s))
-        situation = moment.situation(command, previous, earlier).only(self.dynamics.inputs)
-        return self.dynamics.predict(situation).double()
+        return moment.situation(command, previous, earlier).only(self.dynamics.inputs)

@@ -7,7 +7,7 @@ import torch
 from pydantic import Field
 from torch import Tensor
 
-from swarmtwin.dynamics.predictor import DynamicsModel, DynamicsModule
+from swarmtwin.dynamics.predictor import DynamicsModel, DynamicsModule, NetworkDynamics
 from swarmtwin.errors import UserError
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Positive, StrictModel
@@ -61,13 +61,14 @@ class DisplacementTable(DynamicsModule):
             seed: of these.
 
         Raises:
-            UserError: the model looks at more than the command, or the table would be too large or too far off.
+            UserError: the model looks at more than the command or states a spread of its own, or the table would be too
+                large or too far off.
         """
         super().__init__()
         self.robot, self.inputs = dynamics.robot, dynamics.inputs
         self.motion_noise = getattr(dynamics, "motion_noise", None)
         low, high = (torch.as_tensor(end) for end in (self.robot.command_low, self.robot.command_high))
-        self._check_size(len(low), settings)
+        self._check_size(dynamics, len(low), settings)
         axes = [torch.linspace(float(a), float(b), settings.points) for a, b in zip(low, high, strict=True)]
         grid = torch.cartesian_prod(*axes).reshape(-1, len(low))
         answers = dynamics.predict(Situation(grid)).float()
@@ -99,11 +100,16 @@ class DisplacementTable(DynamicsModule):
         usual, most = ([float(values.quantile(share)) for values in (position, heading)] for share in (0.99, 1.0))
         return TableError(*usual, *most)
 
-    def _check_size(self, columns: int, settings: TableSettings) -> None:
+    def _check_size(self, dynamics: DynamicsModel, columns: int, settings: TableSettings) -> None:
         if self.inputs != ("command",):
             raise UserError(
                 f"this dynamics model of {self.robot.name!r} looks at {', '.join(self.inputs)}: only one that looks at "
                 "the command alone can be tabulated; take tabulated=false"
+            )
+        if isinstance(dynamics, NetworkDynamics) and dynamics.drawn_members:
+            raise UserError(
+                f"this dynamics model of {self.robot.name!r} states a spread of its own, by which vehicles differ: a "
+                "table would lose it; take tabulated=false"
             )
         numbers = 3 * settings.points**columns
         if numbers > settings.largest:

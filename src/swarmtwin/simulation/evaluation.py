@@ -10,7 +10,9 @@ import numpy as np
 import pandas as pd
 
 from swarmtwin.dynamics.evaluation import ErrorFigure
+from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.provenance import Provenance
+from swarmtwin.dynamics.spread import Mixture, SpreadFigure
 from swarmtwin.errors import UserError
 from swarmtwin.learning.situation import Situation
 from swarmtwin.recordings.blocks import run_of
@@ -55,6 +57,7 @@ class Figures:
         model_error: predicted against exact mean displacements on a stand-in, given the robot's situation, and the
             commands before where the model looks at them.
         open_loop: over whole runs; None where no run can be predicted.
+        spread: how well the spread is that which was measured, of a model that states one itself.
     """
 
     one_step: ErrorFigure
@@ -62,6 +65,7 @@ class Figures:
     floors: Mapping[str, Floor]
     model_error: ErrorFigure | None
     open_loop: OpenLoopFigure | None
+    spread: SpreadFigure | None = None
 
     @property
     def floor(self) -> ErrorFigure:
@@ -85,6 +89,7 @@ class Figures:
             "open_loop": {"rmse_mm": {"mean": loop.rmse_mm, "sd": loop.rmse_sd_mm}, "runs": loop.runs}
             if loop
             else None,
+            **({"spread": {"coverage": self.spread.coverage, **self.spread.named()}} if self.spread else {}),
         }
 
     def tracked(self) -> dict[str, float]:
@@ -98,6 +103,8 @@ class Figures:
                 by_name[f"{name}_orientation_deg"] = figure.orientation_deg
         if self.open_loop:
             by_name["open_loop_mm"] = self.open_loop.rmse_mm
+        if self.spread:
+            by_name |= {f"spread_{name}": figure for name, figure in self.spread.named().items()}
         return by_name
 
 
@@ -228,6 +235,7 @@ def measure(simulation: Simulation, provenance: Provenance, measured: Measured) 
             floors={name: floor(known) for name, known in measured.best.items()},
             model_error=ErrorFigure.between(predicted[chosen], mean.mean[chosen]) if mean else None,
             open_loop=summary(own_runs) if any(np.isfinite(run.rmse_mm) for run in own_runs) else None,
+            spread=_spread(simulation, transitions.where(chosen)),
         )
 
     vehicles = {}
@@ -262,6 +270,14 @@ def _of_tracks(transitions: Transitions, recording: Recording) -> np.ndarray:
     for track in recording.tracks:
         chosen[transitions.runs.index(track.run), transitions.vehicles.index(track.vehicle)] = True
     return chosen[transitions.run, transitions.vehicle]
+
+
+def _spread(simulation: Simulation, transitions: Transitions) -> SpreadFigure | None:
+    """Compare the spread that a bare probabilistic model states with what was measured; None of any other."""
+    dynamics = simulation.dynamics
+    if simulation.is_extended or not isinstance(dynamics, NetworkDynamics) or not dynamics.drawn_members:
+        return None
+    return SpreadFigure.of(Mixture.of(dynamics, transitions))
 
 
 def _predict(simulation: Simulation, transitions: Transitions) -> np.ndarray:

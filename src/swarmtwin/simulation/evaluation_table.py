@@ -35,6 +35,9 @@ def measurement_table(name: str, measurement: Measurement) -> Table:
         position, orientation = _errors_text(history.error).splitlines()
         kind = "" if history.kind == "exact" else ", estimate"
         shown.caption += f"\nfloor given the commands before as well{kind}: {position} mm, {orientation}°"
+    if spread := measurement.overall.spread:
+        covered = ", ".join(f"{100 * share:g} %: {100 * spread.covered(share):.1f}" for share in (0.5, 0.9, 0.95))
+        shown.caption += f"\nshare of displacements in its intervals of {covered} %; {spread.nll_nats:.2f} nats each"
     return shown
 
 

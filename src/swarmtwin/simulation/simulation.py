@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from swarmtwin.dynamics.motion_noise import MotionNoise
-from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, wrap_angle
 from swarmtwin.learning.situation import ALL_PARTS, Situation
@@ -25,6 +25,7 @@ from swarmtwin.simulation.signal_chain import period_motion, remembered_after_lo
 from swarmtwin.simulation.state import State
 
 OWN_VELOCITY = "velocity without mechanisms"
+MEMBER = "member of the ensemble"
 
 
 class Simulation(nn.Module):
@@ -106,7 +107,7 @@ class Simulation(nn.Module):
         previous = unknown if previous_command is None else torch.as_tensor(previous_command, dtype=torch.float64)
         state = State(pose, elapsed_s, previous, unknown, velocity)
         if not self.is_extended:
-            return state
+            return replace(state, memory=self._drawn_members(shape, rng))
         held = self._known(previous, self.command_at_rest.expand_as(previous)).flatten(0, 1)
         twists = self._twists(self._moment(state, None, None), [held] * 3)
         if twists.has_momentum:
@@ -148,7 +149,10 @@ class Simulation(nn.Module):
         commands = [_flattened(values) for values in (command, state.previous_command, state.earlier_command)]
         displacement, memory = self._motion(moment, commands, {name: _flattened(m) for name, m in state.memory.items()})
         likeliest = displacement
-        if rng is not None and self.motion_noise is not None:
+        if rng is not None and MEMBER in memory:
+            own = BaseTwists(self.dynamics, moment, commands)
+            displacement = own.drawn_displacement(memory[MEMBER], rng)
+        elif rng is not None and self.motion_noise is not None:
             displacement = self.motion_noise.sample(displacement, rng, self.noise_factor)
         if not bool(displacement.isfinite().all()):
             raise UserError(
@@ -223,6 +227,18 @@ class Simulation(nn.Module):
             pose = mechanism.from_measured(pose, self.conditions)
         return pose
 
+    def _drawn_members(self, shape: Sequence[int], rng: torch.Generator | None) -> dict[str, Tensor]:
+        """Return which member of a probabilistic model each vehicle (W, K) is, for as long as it drives.
+
+        Vehicles differ as members do. Without `rng` it is −1, all of them together; other models have no members.
+        """
+        members = self.dynamics.drawn_members if isinstance(self.dynamics, NetworkDynamics) else 0
+        if not members:
+            return {}
+        if rng is None:
+            return {MEMBER: torch.full(tuple(shape), -1)}
+        return {MEMBER: torch.randint(members, tuple(shape), generator=rng, device=rng.device)}
+
     def _in_force(self, state: State, command: Tensor, rng: torch.Generator | None) -> Tensor:
         """Return the commands (W, K, m) that act on: those sent, or where they are lost those in force before."""
         arrives = 1.0
@@ -287,7 +303,7 @@ class Simulation(nn.Module):
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Return displacements (N, 3) under the first of the commands, (N, m), and what is remembered."""
         if not self.is_extended:
-            return BaseTwists(self.dynamics, moment, commands).displacement(), {}
+            return BaseTwists(self.dynamics, moment, commands).displacement(), dict(memory)
         command, *before = commands
         previous = self._known(before[0], self.command_at_rest.expand_as(command))
         filled = [command, previous, self._known(before[1], previous)]

@@ -165,7 +165,7 @@ class _Worker:
 
     def _sampler(self, study: optuna.Study) -> optuna.samplers.BaseSampler:
         """Return what draws the next trial: the same one again, where a kill has left the last unfinished."""
-        drawn = np.random.SeedSequence([self.search.seed, trials_done(study), self.number])
+        drawn = np.random.SeedSequence(self.search.seed, spawn_key=(trials_done(study), self.number))
         return optuna.samplers.TPESampler(seed=int(drawn.generate_state(1)[0]), constant_liar=not self.alone)
 
     def run(self, report: Report | None) -> None:
