@@ -1,9 +1,9 @@
-"""`swarmtwin tune`: hyper-parameters searched with Optuna, by several processes on one study."""
+"""`swarmtwin tune`: hyper-parameters of a dynamics model or a generator, by several processes on one Optuna study."""
 
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import optuna
 import yaml
@@ -14,11 +14,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.errors import UserError
+from swarmtwin.errors import UserError, near_miss
 from swarmtwin.files import write_text
 from swarmtwin.learning.device import Device
 from swarmtwin.learning.tuning import Range, complete_trials
 from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.studies.dynamics_search import DynamicsSearch
+from swarmtwin.studies.found_values import configuration_word
+from swarmtwin.studies.generator_search import GeneratorSearch
 from swarmtwin.studies.hyperparameter_search import HyperparameterSearch
 from swarmtwin.transitions import SplitOptions
 from swarmtwin.transitions.inputs import Vehicles
@@ -28,9 +31,12 @@ class Options(StrictModel):
     """Options of `swarmtwin tune`; their defaults stand in conf/tune.yaml."""
 
     robot: Robot
+    what: Literal["dynamics", "generator"]
     model: dict[str, Any]
     recipe: dict[str, Any]
+    generator: dict[str, Any]
     space: Annotated[dict[str, Range], Field(min_length=1)]
+    generator_space: dict[str, Annotated[dict[str, Range], Field(min_length=1)]]
     trials: Annotated[int, Field(ge=1, le=100_000)]
     workers: Annotated[int, Field(ge=1, le=256)]
     split: SplitOptions
@@ -43,6 +49,25 @@ class Options(StrictModel):
     storage: str | None
     prune: bool
 
+    def search(self) -> HyperparameterSearch:
+        """Return what is searched.
+
+        Raises:
+            UserError: nobody says what to search of this generator.
+        """
+        kind = DynamicsSearch if self.what == "dynamics" else GeneratorSearch
+        given = {name: getattr(self, name) for name in kind.model_fields}
+        if self.what == "generator":
+            name = str(self.generator.get("name"))
+            if name not in self.generator_space:
+                known = near_miss(name, self.generator_space)
+                raise UserError(
+                    f"generator_space has no entry {name!r}: {known}; add what to search of it, "
+                    f"'+generator_space.{name}={{generator.OPTION: {{low: ..., high: ...}}}}'"
+                )
+            given["space"] = self.generator_space[name]
+        return kind(**given)
+
 
 def run(options: Options) -> dict[str, Any]:
     """Search until the study holds as many trials as asked for; show the best, and return it.
@@ -51,32 +76,41 @@ def run(options: Options) -> dict[str, Any]:
         UserError: an option of the space does not exist, the data or the storage are at fault, the study was made for
             something else, or no trial gave a loss.
     """
-    search = HyperparameterSearch(**{name: getattr(options, name) for name in HyperparameterSearch.model_fields})
-    study = search.run(options.study, options.storage, options.trials, options.workers)
+    search, folder = options.search(), Path("outputs/tune")
+    study = search.run(options.study, options.storage, options.trials, options.workers, folder)
     if not complete_trials(study):
         raise UserError(f"study {study.study_name!r}: no trial finished: widen or shift the space")
-    best = Path("outputs/tune") / f"{study.study_name}.yaml"
-    best.parent.mkdir(parents=True, exist_ok=True)
+    best = folder / f"{study.study_name}.yaml"
     write_text(best, yaml.safe_dump({"loss": study.best_value, **study.best_params}, sort_keys=False))
-    Console().print(_table(study))
-    command = shlex.join(["swarmtwin", "train", *_training_options(options, study.best_params)])
-    Console().print(f"train with it: {command}", highlight=False, soft_wrap=True)
-    Console().print(f"best values: {best}", highlight=False, soft_wrap=True)
+    Console().print(_table(study, search.headings))
+    trained_by = "train" if options.what == "dynamics" else "generate"
+    command = shlex.join(["swarmtwin", trained_by, *_training_options(options, search, study.best_params)])
+    word = configuration_word(study.study_name)
+    chosen = [f"{group}={word}" for group in sorted({name.partition(".")[0] for name in study.best_params})]
+    for line in (
+        f"train with it: {command}",
+        f"as configurations: {shlex.join([f'--config-dir={folder / study.study_name}', *chosen])}",
+        f"best values: {best}",
+    ):
+        Console().print(line, highlight=False, soft_wrap=True)
     return {"loss": study.best_value, **study.best_trial.user_attrs, "trials": len(study.trials), "output": str(best)}
 
 
-def _training_options(options: Options, found: Mapping[str, Any]) -> list[str]:
-    """Return the options that this call was given and `train` takes as well, then the values found."""
+def _training_options(options: Options, search: HyperparameterSearch, found: Mapping[str, Any]) -> list[str]:
+    """Return the options that this call was given and `train` or `generate` takes as well, then the values found."""
     given, kept = [], {}
+    own = {"what", "space", "generator_space", "trials", "workers", "prune", "study", "storage"}
+    own |= {"model", "recipe", "generator"} - search.options.keys()
     if HydraConfig.initialized():
         given = list(HydraConfig.get().overrides.task)
         sources = HydraConfig.get().runtime.config_sources
         kept = {one.path: f"--config-dir={one.path}" for one in sources if one.provider == "command-line"}
     for option in given:
         name = option.partition("=")[0].lstrip("+~")
-        if name not in found and name.split(".")[0] not in ("space", "trials", "workers", "prune", "study", "storage"):
+        if name not in found and name.split(".")[0] not in own:
             kept[name] = option
-    chosen = {"robot": f"robot={options.robot.name}", "model": f"model={options.model['name']}"}
+    group = next(iter(search.options))
+    chosen = {"robot": f"robot={options.robot.name}", group: f"{group}={search.learner}"}
     return [*(chosen | kept).values(), *(f"{name}={value}" for name, value in found.items())]
 
 
@@ -84,16 +118,16 @@ def _text(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _table(study: optuna.Study) -> Table:
+def _table(study: optuna.Study, headings: Mapping[str, str]) -> Table:
     ranked = sorted(complete_trials(study), key=lambda trial: trial.value or 0)
     names = list(ranked[0].params)
     table = Table(
         title=f"study {study.study_name}: best trials", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
     )
-    for heading in ("trial", "loss", "position\nmm", "orientation\n°", *(name.replace(".", ".\n") for name in names)):
+    for heading in ("trial", "loss", *headings.values(), *(name.replace(".", ".\n") for name in names)):
         table.add_column(heading, justify="right", overflow="fold")
     for trial in ranked[:10]:
-        errors = [trial.user_attrs[f"validation_{error}"] for error in ("position_mm", "orientation_deg")]
+        errors = [trial.user_attrs[name] for name in headings]
         values = [trial.params[name] for name in names]
         table.add_row(str(trial.number), *map(_text, [trial.value, *errors, *values]))
     broken_off = len(study.get_trials(deepcopy=False, states=[TrialState.PRUNED]))

@@ -155,6 +155,11 @@ class Range(StrictModel):
                 raise ValueError(f"log needs a low above 0, got {self.low:g}")
         return self
 
+    def __str__(self) -> str:
+        if self.choices is not None:
+            return f"among {', '.join(map(str, self.choices))}"
+        return f"{self.low:g} to {self.high:g}{', log' if self.log else ''}"
+
     def suggest(self, trial: optuna.Trial, name: str, whole: bool) -> Any:
         """Let Optuna choose a value; a `whole` number where the option takes no other."""
         if self.choices is not None:

@@ -167,6 +167,17 @@ def keep_with_run(output: Path, pictures: Path) -> None:
             mlflow.MlflowClient().log_artifacts(run.info.run_id, str(pictures), "pictures")
 
 
+@store_errors()
+def keep_folder(run_id: str, folder: Path, name: str) -> None:
+    """Keep a copy of a folder under `name` with a run that need not be the one that is open.
+
+    Raises:
+        UserError: the tracking store cannot be used.
+    """
+    use_store()
+    mlflow.MlflowClient().log_artifacts(run_id, str(folder), name)
+
+
 def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study"]) -> str:
     """Open a run that groups those started until it is closed, also in other processes; return its id."""
     tags = _tags({}, None)
