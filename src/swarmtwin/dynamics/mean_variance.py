@@ -53,4 +53,5 @@ class MeanVarianceEnsemble(nn.Module):
         """
         mean, variance = self.moments(inputs)
         surprise = ((outputs - mean) ** 2 / variance + variance.log()) / 2
-        return (variance.detach() ** self.variance_weight * surprise * counts.T[..., None]).mean()
+        weighted = variance.detach() ** self.variance_weight * surprise * counts.T[..., None]
+        return weighted.sum(dim=1).div(counts.sum(dim=0).clamp(min=1.0)[:, None]).mean()

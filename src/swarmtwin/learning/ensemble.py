@@ -208,11 +208,12 @@ def learn(
 
 
 def bootstrap_counts(vehicle: np.ndarray, run: np.ndarray, members: int, seed: int) -> np.ndarray:
-    """Say how often each row counts for each member, which learns from a resample of the vehicles and of their runs.
+    """Say how often each row counts for each member, which learns from a resample of the runs of one vehicle.
 
-    A bootstrap of clusters (Davison and Hinkley 1997, section 3.8): vehicles are drawn with replacement, as many as
-    there are, and for each of them its runs likewise. Of one vehicle only runs are drawn. So members differ by what
-    the recorded runs leave open, and by how unlike the recorded vehicles are.
+    Runs are drawn with replacement, as many as there are: a bootstrap of clusters (Davison and Hinkley 1997, section
+    3.8). Of several vehicles each member has one, in turn, so that members differ as vehicles do: resampled vehicles
+    would make them differ as means over vehicles do, which is less. Where there are more vehicles than members, each
+    member has a share of them.
 
     Args:
         vehicle: (N,) the vehicle of each row.
@@ -221,16 +222,17 @@ def bootstrap_counts(vehicle: np.ndarray, run: np.ndarray, members: int, seed: i
         seed: of what is drawn.
 
     Returns:
-        (N, M) whole numbers, 1 on average.
+        (N, M) whole numbers.
     """
     rng = np.random.default_rng(seed)
     counts = np.zeros((len(run), members))
-    names, of_vehicle = np.unique(vehicle, return_inverse=True)
-    own_rows = [np.flatnonzero(of_vehicle == number) for number in range(len(names))]
+    shuffled = rng.permutation(np.unique(vehicle))
     for member in range(members):
-        for rows, times in zip(own_rows, rng.multinomial(len(names), np.full(len(names), 1 / len(names))), strict=True):
-            runs, of_run = np.unique(run[rows], return_inverse=True)
-            counts[rows, member] = rng.multinomial(times * len(runs), np.full(len(runs), 1 / len(runs)))[of_run]
+        own = shuffled[member::members] if len(shuffled) > members else shuffled[[member % len(shuffled)]]
+        rows = np.flatnonzero(np.isin(vehicle, own))
+        tracks, of_track = np.unique(np.column_stack([vehicle, run])[rows], axis=0, return_inverse=True)
+        times = rng.multinomial(len(tracks), np.full(len(tracks), 1 / len(tracks)))
+        counts[rows, member] = times[of_track.ravel()]
     return counts
 
 

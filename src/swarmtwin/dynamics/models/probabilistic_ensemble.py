@@ -14,7 +14,7 @@ from swarmtwin.robot import Positive, Robot
 class Config(ModelConfig):
     """`conf/model/probabilistic_ensemble.yaml`.
 
-    Each member learns from a bootstrap of whole runs, and of whole vehicles where several were recorded. In a sampled
+    Each member learns from a bootstrap of whole runs, of one vehicle where several were recorded. In a sampled
     simulation a vehicle draws a member when it is put down and keeps it, so that vehicles differ, and each period's
     noise from that member's variance. The variances are calibrated on the validation runs (`dynamics/spread.py`).
 
