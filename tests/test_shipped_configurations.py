@@ -65,36 +65,46 @@ def test_every_generator_takes_a_step_for_every_robot_without_momentum(robots, w
     assert all(weights.isfinite().all() for weights in generator.state_dict().values())
 
 
-COMPOSED = {**{name: entry.module for name, entry in COMMANDS.items() if name != "experiment"}}
-STUDIES = words("experiment")
+COMPOSED = (
+    *(name for name in COMMANDS if name != "experiment"),
+    *(f"experiment/{study}" for study in words("experiment")),
+)
 
 
 def options_class(config_name):
     """The typed options of a command, or of a study."""
-    if config_name in COMPOSED:
-        return importlib.import_module(f"swarmtwin.commands.{COMPOSED[config_name]}").Options
-    return importlib.import_module(f"swarmtwin.studies.{config_name.partition('/')[2]}.study").Options
+    room, _, study = config_name.partition("/")
+    module = f"studies.{study}.study" if study else f"commands.{COMMANDS[room].module}"
+    return importlib.import_module(f"swarmtwin.{module}").Options
 
 
 def groups_of(config_name):
     """The folders of `conf/` from which a configuration takes a file, and may take another."""
     defaults = yaml.safe_load((CONF / f"{config_name}.yaml").read_text()).get("defaults", [])
-    named = [next(iter(entry)) for entry in defaults if isinstance(entry, dict)]
-    return [group.lstrip("/") for group in named if not group.startswith("override") and "@" not in group]
+    named = [next(iter(entry)).lstrip("/") for entry in defaults if isinstance(entry, dict)]
+    return [group for group in named if not group.startswith("override") and "@" not in group]
 
 
-def choices():
-    for config_name in [*COMPOSED, *(f"experiment/{study}" for study in STUDIES)]:
-        for group in ("", *groups_of(config_name)):
-            for word in words(group) if group else [""]:
-                yield config_name, f"{group}={word}" if group else ""
+def compositions():
+    """Every configuration as it is, and with every file of a folder in place of the usual one, each file once."""
+    seen = set()
+    for config_name in COMPOSED:
+        own = [group for group in groups_of(config_name) if group not in seen]
+        seen.update(own)
+        yield config_name, ["", *(f"{group}={word}" for group in own for word in words(group))]
 
 
-@pytest.mark.parametrize("config_name", [*COMPOSED, *(f"experiment/{study}" for study in STUDIES)])
-def test_every_choice_of_a_file_composes_to_typed_options(config_name):
+@pytest.mark.parametrize(("config_name", "chosen"), compositions())
+def test_every_file_composes_to_typed_options(config_name, chosen):
     options = options_class(config_name)
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        for chosen in [choice for name, choice in choices() if name == config_name]:
-            composed = OmegaConf.to_container(hydra.compose(config_name, [chosen] if chosen else []), resolve=True)
+        for choice in chosen:
+            composed = OmegaConf.to_container(hydra.compose(config_name, [choice] if choice else []), resolve=True)
             composed = {name: "given" if value == "???" else value for name, value in composed.items()}
-            assert options.parse(composed, f"{config_name} {chosen}")
+            assert options.parse(composed, f"{config_name} {choice}")
+
+
+def test_no_folder_is_forgotten():
+    """What lies in a folder is chosen from by some command; studies are chosen by their name."""
+    used = {group for config_name in COMPOSED for group in groups_of(config_name)}
+    assert {folder.name for folder in CONF.iterdir() if folder.is_dir()} - {"experiment"} <= used

@@ -282,7 +282,7 @@ def test_where_every_seed_is_dead_nothing_is_left(swarmtwin, workshop):
         (
             ["model=mpl"],
             2,
-            "no such model: 'mpl': did you mean 'mlp'? known: cnn, crnet, ensemble, fcnn, gru, kinematic, lstm, mlp",
+            "no such model: 'mpl': did you mean 'mlp'? known: boosted_trees, cnn, ",
         ),
         (["model.layer=[3]", "model=mlp"], 2, "unknown option 'model.layer': did you mean 'model.layers'?"),
         (["recipe.epoch=3"], 2, "unknown option 'recipe.epoch': did you mean 'recipe.epochs'?"),

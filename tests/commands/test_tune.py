@@ -71,6 +71,82 @@ def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, work
     assert sorted(loss for losses in parents.values() for loss in losses) == sorted(trial.value for trial in trials)
 
 
+def test_what_was_found_are_configurations_that_name_their_study(swarmtwin, workshop):
+    """They lie in a folder for --config-dir: `train` with them is the best trial again."""
+    ranges = space(weight_decay="{low: 0.01, high: 0.2}")[1].removeprefix("+space={").removesuffix("}")
+    searched = f"+space={{model.learning_rate: {{low: 0.01, high: 0.1, log: true}}, {ranges}}}"
+    search = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", "~space")
+    answer = swarmtwin(*search, searched, "workers=1", "trials=4", "study=first try")
+    assert answer.status == 0
+    folder = workshop / "outputs" / "tune" / "first try"
+    found = yaml.safe_load((workshop / "outputs" / "tune" / "first try.yaml").read_text())
+    text = (folder / "model" / "first_try.yaml").read_text()
+    assert text.startswith("# Found by study first try on recording reference (")
+    assert "of 4, of which 4 were not broken off" in text
+    assert f"its loss on validation runs {found['loss']:.6g}. Searched: model.learning_rate 0.01 to 0.1, log;" in text
+    assert yaml.safe_load(text)["learning_rate"] == found["model.learning_rate"]
+    assert (
+        yaml.safe_load((folder / "recipe" / "first_try.yaml").read_text())["weight_decay"]
+        == (found["recipe.weight_decay"])
+    )
+    (line,) = [line for line in answer.shown.splitlines() if line.startswith("as configurations: ")]
+    chosen = shlex.split(line.removeprefix("as configurations: "))
+    assert chosen == ["--config-dir=outputs/tune/first try", "model=first_try", "recipe=first_try"]
+    train = ("train", "recording=reference", *chosen, "seeds=1", "register=false", "pictures=false", "output=out")
+    assert swarmtwin(*train).status == 0
+    (seed,) = yaml.safe_load((workshop / "out" / "model.yaml").read_text())["provenance"]["seeds"]
+    loss = seed["position_mm"] + seed["orientation_deg"]
+    assert loss == pytest.approx(found["loss"], rel=1e-6)
+
+    use_store()
+    (parent,) = mlflow.search_runs(
+        experiment_names=["dynamics"], filter_string="tags.kind = 'study'", output_format="list"
+    )
+    kept = {artifact.path for artifact in mlflow.MlflowClient().list_artifacts(parent.info.run_id, "study")}
+    pictures = ("history", "importances", "parallel_coordinates")
+    assert kept == {"study/model", "study/recipe", *(f"study/{name}.png" for name in pictures)}
+    assert parent.data.metrics["best_loss"] == pytest.approx(found["loss"])
+
+
+def test_a_generator_is_searched_as_a_model_is(swarmtwin, workshop):
+    quick = ("what=generator", "generator=gan", "generator.steps=20", "workers=1", "study=gans")
+    assert swarmtwin("tune", "recording=reference", *quick, "trials=1").status == 0
+    answer = swarmtwin("tune", "recording=reference", *quick, "trials=2")
+    assert answer.status == 0
+    found = yaml.safe_load((workshop / "outputs" / "tune" / "gans.yaml").read_text())
+    assert set(found) == {"loss", *(f"generator.{name}" for name in ("learning_rate", "beta1", "discriminator_steps"))}
+    assert 0.4 < found["loss"] <= 1
+    (line,) = [line for line in answer.shown.splitlines() if line.startswith("train with it: ")]
+    command = shlex.split(line.removeprefix("train with it: swarmtwin "))
+    assert swarmtwin(*command, "count=100", "pictures=false", "output=drawn").status == 0
+    described = yaml.safe_load((workshop / "drawn" / "generator" / "generator.yaml").read_text())["generator"]
+    assert described["learning_rate"] == found["generator.learning_rate"]
+    assert described["steps"] == 20
+    use_store()
+    runs = mlflow.search_runs(experiment_names=["generator"], filter_string="", output_format="list")
+    assert sorted(run.info.run_name for run in runs if "kind" not in run.data.tags) == [
+        *("gans trial 0", "gans trial 1", "mgr-gan")
+    ]
+
+
+def test_a_generator_without_a_space_is_told_how_to_give_it_one(swarmtwin):
+    answer = swarmtwin("tune", "recording=reference", "what=generator", "~generator_space.gan", "generator=gan")
+    assert answer.status == 2
+    assert answer.error.splitlines()[-1] == (
+        "swarmtwin tune: generator_space has no entry 'gan': known: residual_diffusion; add what to search of it, "
+        "'+generator_space.gan={generator.OPTION: {low: ..., high: ...}}'"
+    )
+
+
+def test_two_workers_share_a_database_and_a_later_call_continues_it(swarmtwin, workshop):
+    for workers, trials in ((2, 3), (1, 4)):
+        calls = (f"workers={workers}", f"trials={trials}")
+        assert swarmtwin(*SEARCH, "storage=sqlite:///study.db", *calls).status == 0
+        ended = optuna.load_study(study_name="mgr-kinematic", storage="sqlite:///study.db").get_trials()
+        assert [trial.state for trial in ended] == [TrialState.COMPLETE] * trials
+    assert len({trial.params["recipe.learning_rate"] for trial in ended}) == 4
+
+
 def test_the_advice_is_a_complete_command(swarmtwin, workshop):
     options = ("model.steps=40", "split.seed=3", "device=cpu")
     search = ("tune", "recording=reference", "model=kinematic", *options, *space(batch_size="{choices: [256]}"))

@@ -32,8 +32,11 @@ def dynamics_with_data(robot, name, count=600):
 
 
 def test_files_configurations_and_registry_agree():
-    shipped = {path.stem for path in (CONF / "model").glob("*.yaml")}
-    assert shipped == set(model_names())
+    shipped = {path.stem: yaml.safe_load(path.read_text())["name"] for path in (CONF / "model").glob("*.yaml")}
+    assert set(shipped.values()) == set(model_names())
+    assert set(model_names()) <= set(shipped)
+    variants = {word: name for word, name in shipped.items() if word != name}
+    assert all(word.startswith(f"{name}_") for word, name in variants.items()), "a variant is named after its model"
     assert all(config_class(name).model_fields["name"].default == name for name in model_names())
 
 
@@ -49,8 +52,7 @@ def test_an_unknown_model_is_refused_with_the_near_miss():
     with pytest.raises(UserError) as error:
         config_class("crnett")
     assert str(error.value) == (
-        "no such dynamics model: 'crnett': did you mean 'crnet'? "
-        "known: cnn, crnet, ensemble, fcnn, gru, kinematic, lstm, mlp"
+        f"no such dynamics model: 'crnett': did you mean 'crnet'? known: {', '.join(model_names())}"
     )
 
 
@@ -60,7 +62,7 @@ def test_an_unknown_field_is_refused_with_the_near_miss():
 
 
 def test_a_configuration_without_a_name_is_refused():
-    with pytest.raises(UserError, match=r"^x: field 'name' is missing: it says which dynamics model; known: cnn, "):
+    with pytest.raises(UserError, match=r"^x: field 'name' is missing: it says which dynamics model; known: boosted"):
         model_config({"dropout": 0.2}, "x")
 
 
@@ -95,7 +97,11 @@ def test_layers_without_width_are_refused(name, wrong):
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters"), [("crnet", 95_511), ("fcnn", 126_019), ("cnn", 59_275), ("lstm", 64_483), ("gru", 54_979)]
+    ("name", "parameters"),
+    [
+        *[("crnet", 95_511), ("fcnn", 126_019), ("cnn", 59_275), ("lstm", 64_483), ("gru", 54_979)],
+        *[("fcnn_repaired", 126_019), ("cnn_repaired", 48_027)],
+    ],
 )
 def test_parameter_counts_are_the_published_ones(robots, name, parameters):
     dynamics = NetworkDynamics(robots["mgr"], config_class(name)())
@@ -211,3 +217,40 @@ def test_in_training_each_situation_is_answered_by_one_member_of_the_ensemble_an
     alone = network.train()(inputs)
     torch.testing.assert_close(alone, torch.stack([each[row % 3, row] for row in range(7)]))
     torch.testing.assert_close(network.eval()(inputs), each.mean(dim=0))
+
+
+def test_the_published_output_of_fcnn_can_die_and_the_repaired_one_cannot(robots):
+    """With every output far below its range no gradient flows any more through the ReLU."""
+    gradients = {}
+    for name in ("fcnn", "fcnn_repaired"):
+        network = config_class(name)().build(robots["mgr"], 2)
+        last = [layer for layer in network.modules() if isinstance(layer, nn.Linear)][-1]
+        with torch.no_grad():
+            last.bias.fill_(-100.0)
+        network(torch.rand(16, 2)).square().sum().backward()
+        gradients[name] = float(last.weight.grad.abs().sum())
+    assert gradients["fcnn"] == 0 < gradients["fcnn_repaired"]
+
+
+def test_the_published_convolutions_see_one_input_each_and_the_repaired_ones_their_neighbours(robots):
+    reach = {}
+    for name in ("cnn", "cnn_repaired"):
+        torch.manual_seed(0)
+        convolutions = config_class(name)().build(robots["mur"], 6).convolutions.eval()
+        values = torch.randn(1, 6, requires_grad=True)
+        sequence = convolutions(values[None])[:, 0] if name == "cnn" else convolutions(values[:, None])[0]
+        sequence[:, sequence.shape[1] // 2].sum().backward()
+        reach[name] = int((values.grad != 0).sum())
+    assert reach == {"cnn": 1, "cnn_repaired": 6}
+
+
+@pytest.mark.parametrize(("name", "jumps"), [("fcnn", True), ("fcnn_repaired", False), ("cnn_repaired", False)])
+def test_a_repaired_network_sees_no_jump_where_the_heading_does(robots, name, jumps):
+    dynamics, _ = dynamics_with_data(robots["mur"], name)
+    heading = torch.tensor([torch.pi - 1e-4, -torch.pi + 1e-4])
+    situation = Situation(
+        command=torch.tensor([[10.0, 30.0, 6.0]]).expand(2, 3),
+        pose=torch.stack([torch.full((2,), 900.0), torch.full((2,), 500.0), heading], dim=-1),
+    )
+    seen = dynamics.encoding(situation)
+    assert bool(((seen[0] - seen[1]).abs() > 0.5).any()) == jumps

@@ -8,15 +8,14 @@ import pytest
 import torch
 
 from swarmtwin.dynamics.evaluation import model_error, predict
-from swarmtwin.dynamics.model_config import config_class, model_names
+from swarmtwin.dynamics.model_config import config_class
 from swarmtwin.dynamics.training import train
 from swarmtwin.errors import UserError
 from swarmtwin.learning.batches import ShuffledBatches
 from swarmtwin.learning.dead_outputs import dead_outputs
 from swarmtwin.learning.situation import Situation
-from toy import CONF, exact_displacement, recipe, toy_transitions
+from toy import exact_displacement, recipe, toy_transitions
 
-ROBOTS = sorted(path.stem for path in (CONF / "robot").glob("*.yaml"))
 NOISE = (1.0, 1.0, 0.03)
 
 
@@ -234,26 +233,6 @@ def test_what_depends_on_a_command_before_is_learned_by_a_model_that_asks_for_it
         for chosen in (asking, config(steps=300))
     ]
     assert errors[0] < 0.25 * errors[1]
-
-
-@pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("name", model_names())
-def test_every_shipped_model_trains_a_batch_on_every_robot(robots, name, robot):
-    def mean(command):
-        return np.column_stack([command[:, 0] * 0.1, command[:, 1] * 0.01, command[:, -1] * 0.002])
-
-    data = toy_transitions(robots[robot], 320, noise=NOISE, mean=mean, steps=32)
-    trained = train(data, config(name), recipe(epochs=1, batch_size=192), [0])
-    assert np.isfinite(predict(trained.dynamics, data)).all()
-
-
-@pytest.mark.parametrize("name", sorted(path.stem for path in (CONF / "recipe").glob("*.yaml")))
-def test_every_shipped_recipe_trains(transitions, name):
-    few = toy_transitions(transitions.robot, 1000, noise=NOISE)
-    chosen = recipe(name)
-    assert chosen.name == name
-    trained = train(few, config(), chosen.model_copy(update={"epochs": 2}), [0])
-    assert len(trained.best.history) == 2
 
 
 def test_a_recipe_fills_in_what_it_leaves_open():
