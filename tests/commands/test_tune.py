@@ -90,10 +90,10 @@ def test_what_was_found_are_configurations_that_name_their_study(swarmtwin, work
         == (found["recipe.weight_decay"])
     )
     (line,) = [line for line in answer.shown.splitlines() if line.startswith("as configurations: ")]
-    chosen = shlex.split(line.removeprefix("as configurations: "))
-    assert chosen == ["--config-dir=outputs/tune/first try", "model=first_try", "recipe=first_try"]
-    train = ("train", "recording=reference", *chosen, "seeds=1", "register=false", "pictures=false", "output=out")
-    assert swarmtwin(*train).status == 0
+    command = shlex.split(line.removeprefix("as configurations: swarmtwin "))
+    assert command[:2] == ["train", "--config-dir=outputs/tune/first try"]
+    assert command[-2:] == ["model=first_try", "recipe=first_try"]
+    assert swarmtwin(*command, "seeds=1", "register=false", "pictures=false", "output=out").status == 0
     (seed,) = yaml.safe_load((workshop / "out" / "model.yaml").read_text())["provenance"]["seeds"]
     loss = seed["position_mm"] + seed["orientation_deg"]
     assert loss == pytest.approx(found["loss"], rel=1e-6)

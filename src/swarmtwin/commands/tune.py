@@ -83,21 +83,19 @@ def run(options: Options) -> dict[str, Any]:
     best = folder / f"{study.study_name}.yaml"
     write_text(best, yaml.safe_dump({"loss": study.best_value, **study.best_params}, sort_keys=False))
     Console().print(_table(study, search.headings))
-    trained_by = "train" if options.what == "dynamics" else "generate"
-    command = shlex.join(["swarmtwin", trained_by, *_training_options(options, search, study.best_params)])
-    word = configuration_word(study.study_name)
-    chosen = [f"{group}={word}" for group in sorted({name.partition(".")[0] for name in study.best_params})]
-    for line in (
-        f"train with it: {command}",
-        f"as configurations: {shlex.join([f'--config-dir={folder / study.study_name}', *chosen])}",
-        f"best values: {best}",
+    command = ["swarmtwin", "train" if options.what == "dynamics" else "generate"]
+    given = _given_options(options, search)
+    for title, words in (
+        ("train with it", [*command, *_with_values(given, study.best_params)]),
+        ("as configurations", [*command, *_with_configurations(given, folder / study.study_name, study)]),
+        ("best values", [str(best)]),
     ):
-        Console().print(line, highlight=False, soft_wrap=True)
+        Console().print(f"{title}: {shlex.join(words)}", highlight=False, soft_wrap=True)
     return {"loss": study.best_value, **study.best_trial.user_attrs, "trials": len(study.trials), "output": str(best)}
 
 
-def _training_options(options: Options, search: HyperparameterSearch, found: Mapping[str, Any]) -> list[str]:
-    """Return the options that this call was given and `train` or `generate` takes as well, then the values found."""
+def _given_options(options: Options, search: HyperparameterSearch) -> dict[str, str]:
+    """Return the options that this call was given and `train` or `generate` takes as well, by name."""
     given, kept = [], {}
     own = {"what", "space", "generator_space", "trials", "workers", "prune", "study", "storage"}
     own |= {"model", "recipe", "generator"} - search.options.keys()
@@ -107,11 +105,24 @@ def _training_options(options: Options, search: HyperparameterSearch, found: Map
         kept = {one.path: f"--config-dir={one.path}" for one in sources if one.provider == "command-line"}
     for option in given:
         name = option.partition("=")[0].lstrip("+~")
-        if name not in found and name.split(".")[0] not in own:
+        if name.split(".")[0] not in own:
             kept[name] = option
     group = next(iter(search.options))
-    chosen = {"robot": f"robot={options.robot.name}", group: f"{group}={search.learner}"}
-    return [*(chosen | kept).values(), *(f"{name}={value}" for name, value in found.items())]
+    return {"robot": f"robot={options.robot.name}", group: f"{group}={search.learner}"} | kept
+
+
+def _with_values(given: Mapping[str, str], found: Mapping[str, Any]) -> list[str]:
+    """Return the options with the values found, those with dashes first, as they must stand."""
+    kept = [option for name, option in given.items() if name not in found]
+    return [*sorted(kept, key=lambda option: option[:2] != "--"), *(f"{name}={value}" for name, value in found.items())]
+
+
+def _with_configurations(given: Mapping[str, str], folder: Path, study: optuna.Study) -> list[str]:
+    """Return the options with the configurations found in place of what they were made from."""
+    groups = sorted({name.partition(".")[0] for name in study.best_params})
+    kept = [option for name, option in given.items() if name.split(".")[0] not in groups and option[:2] != "--"]
+    word = configuration_word(study.study_name)
+    return [f"--config-dir={folder}", *kept, *(f"{group}={word}" for group in groups)]
 
 
 def _text(value: Any) -> str:
