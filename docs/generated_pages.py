@@ -74,7 +74,7 @@ def _entries(pages: list[Page]) -> list[dict[str, str]]:
 
 
 def top_page(name: str, path: str) -> Page:
-    """A file at the top of the repository, its links to others there led to their pages."""
+    """Return a file at the top of the repository as a page; links to others there lead to their pages."""
     content = (REPOSITORY / name).read_text()
     for there, here in {"DEPLOYMENT.md": "deploying.md", "ARCHITECTURE.md": "architecture.md"}.items():
         content = content.replace(f"]({there}", f"]({here}")
@@ -82,14 +82,16 @@ def top_page(name: str, path: str) -> Page:
 
 
 def notebook_pages() -> list[Page]:
-    """The notebooks with what they showed when they were run last."""
+    """Return the notebooks, with what they showed when they were run last."""
     pages = []
     for file in sorted((REPOSITORY / "notebooks").glob("*.ipynb")):
         exporter = MarkdownExporter()
         content, resources = exporter.from_filename(str(file), {"unique_key": file.stem})
         images = tuple((f"notebooks/{name}", image) for name, image in resources.get("outputs", {}).items())
         title = re.search(r"^# ([^:\n]+)", content, re.MULTILINE)
-        note = f"*This page is the notebook `notebooks/{file.name}` and what it showed; `make notebooks` runs it again.*"
+        note = (
+            f"*This page is the notebook `notebooks/{file.name}` and what it showed; `make notebooks` runs it again.*"
+        )
         head, _, rest = content.lstrip().partition("\n")
         pages.append(
             Page(f"notebooks/{file.stem}.md", title[1] if title else file.stem, f"{head}\n\n{note}\n\n{rest}", images)
@@ -98,7 +100,7 @@ def notebook_pages() -> list[Page]:
 
 
 def command_pages() -> list[Page]:
-    """A page for each command: what it does, what is chosen, what can be set."""
+    """Return a page for each command: what it does, what is chosen, what can be set."""
     return [
         Page(f"reference/commands/{name}.md", name, _command_page(f"swarmtwin {name}", CONF / f"{name}.yaml"))
         for name in COMMANDS
@@ -107,7 +109,7 @@ def command_pages() -> list[Page]:
 
 
 def experiment_pages() -> list[Page]:
-    """Likewise for each study, which `swarmtwin experiment` runs."""
+    """Return a page for each study that `swarmtwin experiment` runs."""
     return [
         Page(
             f"reference/experiments/{file.stem}.md",
@@ -119,7 +121,7 @@ def experiment_pages() -> list[Page]:
 
 
 def group_pages() -> list[Page]:
-    """A page for each group of configurations, conf/<group>/, with a section for each file."""
+    """Return a page for each group of configurations, conf/<group>/, with a section for each file."""
     folders = sorted({file.parent for file in CONF.rglob("*.yaml")} - {CONF, CONF / "experiment"})
     return [_group_page(folder) for folder in folders]
 
@@ -152,7 +154,7 @@ def _command_page(call: str, file: Path) -> str:
 
 
 def _option_list(options: list[Option], prefix: str = "") -> list[str]:
-    """Options as a table: name, as it is, what it means."""
+    """Return options as a table: name, default, what it means."""
     if not options:
         return []
     lines = ["| option | default | what it means |", "| --- | --- | --- |"]
@@ -164,7 +166,7 @@ def _option_list(options: list[Option], prefix: str = "") -> list[str]:
 
 
 def _prose(sentence: str) -> str:
-    """A comment as Markdown: nothing in it is markup but what stands between backticks."""
+    """Return a comment as Markdown, in which nothing is markup but what stands between backticks."""
     parts = re.split(r"(`[^`]*`)", sentence)
     return "".join(
         part if part.startswith("`") else re.sub(r"([*_|\[\]])", r"\\\1", html.escape(part, quote=False))
@@ -173,7 +175,7 @@ def _prose(sentence: str) -> str:
 
 
 def api_pages() -> list[Page]:
-    """A page for each package of the code, its modules in order, from their docstrings."""
+    """Return a page for each package of the code, with its modules in order, from their docstrings."""
     return [*_api_page(PACKAGE), *(page for folder in _packages() for page in _api_page(folder))]
 
 

@@ -47,9 +47,7 @@ def main() -> None:
     options = parser.parse_args()
     frames = gif_frames(options.film, options.width, options.every, options.last)
     durations_ms = [1000 * options.every // 24] * (len(frames) - 1) + [2000]
-    frames[0].save(
-        options.gif, save_all=True, append_images=frames[1:], duration=durations_ms, loop=0, optimize=True
-    )
+    frames[0].save(options.gif, save_all=True, append_images=frames[1:], duration=durations_ms, loop=0, optimize=True)
 
 
 if __name__ == "__main__":
