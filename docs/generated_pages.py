@@ -69,6 +69,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Keep figures and their standard deviations on one line."""
+    return markdown.replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+
+
 def _entries(pages: list[Page]) -> list[dict[str, str]]:
     return [{page.title: page.path} for page in pages]
 
@@ -92,6 +97,8 @@ def notebook_pages() -> list[Page]:
         note = (
             f"*This page is the notebook `notebooks/{file.name}` and what it showed; `make notebooks` runs it again.*"
         )
+        content = re.sub(r"<style scoped>.*?</style>", "", content, flags=re.DOTALL)  # of pandas' tables
+        content = content.replace('<table border="1" class="dataframe">', "<table>")
         head, _, rest = content.lstrip().partition("\n")
         pages.append(
             Page(f"notebooks/{file.stem}.md", title[1] if title else file.stem, f"{head}\n\n{note}\n\n{rest}", images)
@@ -138,7 +145,8 @@ def _group_page(folder: Path) -> Page:
 
 def _command_page(call: str, file: Path) -> str:
     config = ConfigFile.read(file)
-    lines = [f"# `{call}`", "", _prose(config.summary), "", "```sh", f"{call} option=value ...", "```", ""]
+    summary = config.summary.removeprefix(f"{call}: ")
+    lines = [f"# `{call}`", "", _prose(summary[0].upper() + summary[1:]), "", "```sh", f"{call} option=value ...", "```", ""]
     chosen = {name.partition("@")[0]: choice for name, choice in config.choices.items()}
     if chosen:
         lines += ["## Choices", "", "Each is a file in the folder of `conf/` that bears the option's name.", ""]
