@@ -70,8 +70,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Keep figures and their standard deviations on one line."""
-    return markdown.replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+    """Keep figures on one line with their standard deviations, and with the sign of per cent."""
+    markdown = markdown.replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
+    return re.sub(r"(?<=\d)\s+%", "\N{NO-BREAK SPACE}%", markdown)
 
 
 def _entries(pages: list[Page]) -> list[dict[str, str]]:
@@ -146,7 +147,16 @@ def _group_page(folder: Path) -> Page:
 def _command_page(call: str, file: Path) -> str:
     config = ConfigFile.read(file)
     summary = config.summary.removeprefix(f"{call}: ")
-    lines = [f"# `{call}`", "", _prose(summary[0].upper() + summary[1:]), "", "```sh", f"{call} option=value ...", "```", ""]
+    lines = [
+        f"# `{call}`",
+        "",
+        _prose(summary[0].upper() + summary[1:]),
+        "",
+        "```sh",
+        f"{call} option=value ...",
+        "```",
+        "",
+    ]
     chosen = {name.partition("@")[0]: choice for name, choice in config.choices.items()}
     if chosen:
         lines += ["## Choices", "", "Each is a file in the folder of `conf/` that bears the option's name.", ""]
