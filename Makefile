@@ -7,13 +7,14 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compiled once, when it is first imported
 
-.PHONY: help setup run test claims benchmark lint ui data notebooks dependencies lock queue fuzz kill demo faults
+.PHONY: help setup run test claims benchmark lint docs ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
 	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
 	@echo "make lint       set up, check style and types"
+	@echo "make docs       set up, build the documentation into site/ and check its links"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
 	@echo "make benchmark  speed and memory, as figures and ratios"
@@ -111,6 +112,14 @@ lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+
+docs: .venv/docs  # a link, a section or a file that is not there is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "documentation: site/index.html"
+
+.venv/docs: .venv/installed
+	$(PIP) --constraint constraints.txt --editable '.[docs]'
+	@touch $@
 
 ui: setup
 	$(BIN)/mlflow ui --backend-store-uri $${MLFLOW_TRACKING_URI:-sqlite:///mlflow.db} --host 127.0.0.1 --port 5000

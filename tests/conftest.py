@@ -68,3 +68,14 @@ def workplace(bare_workplace, monkeypatch, empty_store):
 
     monkeypatch.setattr("swarmtwin.tracking.store._make_database", copy)
     return bare_workplace
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory):
+    """A headless Chromium; tests that look at pages are skipped where there is none."""
+    from browser import CHROMIUM, Browser
+
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here to look at the page with (apt install chromium)")
+    with Browser(tmp_path_factory.mktemp("browser")) as browser:
+        yield browser

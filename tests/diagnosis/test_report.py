@@ -387,3 +387,16 @@ def test_what_is_left_is_said_without_a_direction_that_nobody_measured():
     tighter = Dependence(part="spread", statistic=1, p_value=0, explained=-0.2, found=True)
     quiet = made_result(depends_on=("spread",), tests=(tighter,))
     assert dependence_words(quiet) == "Errors scatter less than the ordinary noise."
+
+
+def test_in_a_browser_the_report_loads_without_errors_and_fits(tmp_path, browser):
+    diagnosis = made_result(causes=(DELAY, YAW), posterior=POSTERIOR, detection_limits=LIMITS)
+    page_of(made_session(diagnosis, moved_late), tmp_path)
+    for width in (1280, 400):
+        page = browser.open(tmp_path / "report.html", width)
+        assert "The robot departs from the simulation because commands act 0.15 s late" in page.text()
+        assert page.evaluate("document.images.length") > 3
+        assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
+        assert page.errors == []
+        assert page.elsewhere() == []
+        assert not page.is_wider_than_the_window()

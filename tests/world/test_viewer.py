@@ -128,3 +128,20 @@ def test_the_script_shows_what_the_film_shows(rollouts, tmp_path):
         assert sorted(answer["colliding"]) == np.flatnonzero(frame.colliding).tolist()
         seen.add(answer["status"])
     assert len(seen) > 1
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_in_a_browser_it_plays_without_errors_and_fits(rollouts, tmp_path, browser, width):
+    page_of(rollouts, tmp_path)
+    page = browser.open(tmp_path / "page.html", width)
+    assert "simulation" in page.text()
+    assert "stand-ins" in page.text()
+    drawn = "[...document.querySelectorAll('canvas')].map(one => one.toDataURL()).join()"
+    before = page.evaluate(drawn)
+    page.evaluate("document.getElementById('play').click()")
+    page.wait_until("Number(document.getElementById('time').value) > 0")
+    page.evaluate("document.getElementById('next').click()")
+    assert page.evaluate(drawn) != before
+    assert page.errors == []
+    assert page.elsewhere() == []
+    assert not page.is_wider_than_the_window()

@@ -1,0 +1,196 @@
+"""What the README and the documentation say is so: code runs, commands are understood, links lead somewhere."""
+
+import itertools
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import hydra
+import pytest
+import yaml
+from hydra.core.override_parser.overrides_parser import OverridesParser
+
+from documentation import DOCS, PAGES, README, REPOSITORY, blocks, commands
+from swarmtwin.commands.app import _spelled_out
+from swarmtwin.commands.catalogue import COMMANDS
+from swarmtwin.configuration import config_folder, let_hydra_find_plugins
+from swarmtwin.robot import Robot
+from test_outside import WAY
+from tiny_policies import robot_named, simulation
+
+OUTSIDE = REPOSITORY / "tests" / "outside"
+CALLS = [(page, call) for page in PAGES for call in commands(page)]
+
+
+def test_the_python_in_the_pages_runs_in_a_folder_as_make_run_leaves_it(workplace):
+    simulation(workplace / "artifacts" / "dynamics" / "mgr" / "crnet_synthetic", robot_named("mgr"))
+    page = DOCS / "policies-and-worlds.md"
+    names: dict = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), names)
+    assert all(names["terminated"].values()) or all(names["truncated"].values())
+    assert names["env"].agents == []
+
+
+def test_all_python_in_the_pages_is_run_here_or_as_a_plug_in():
+    elsewhere = [page for page in PAGES if blocks(page, "python") and page.parent.name != "extending"]
+    assert elsewhere == [DOCS / "policies-and-worlds.md"]
+
+
+@pytest.fixture(scope="module")
+def rover(tmp_path_factory):
+    """A folder of one's own, with the robot that a page tells how to write."""
+    folder = tmp_path_factory.mktemp("mine")
+    (folder / "robot").mkdir()
+    (block,) = blocks(DOCS / "your-own-robot.md", "yaml")
+    (folder / "robot" / "rover.yaml").write_text(block)
+    return folder
+
+
+def test_the_robot_that_a_page_describes_can_be_read(rover):
+    assert Robot.load(rover / "robot" / "rover.yaml").actuation.track_mm == 120
+
+
+def first_of_a_sweep(argument):
+    (override,) = OverridesParser.create().parse_overrides([argument])
+    return (
+        f"{override.key_or_group}={next(override.sweep_string_iterator())}"
+        if override.is_sweep_override()
+        else argument
+    )
+
+
+@pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: page.stem if page.parent == DOCS else page.parent.name + "-" + page.stem
+)
+def test_every_command_in_a_page_is_understood(page, rover, monkeypatch):
+    """Hydra composes its configuration: command, options and choices exist."""
+    monkeypatch.setenv("SWARMTWIN_PLUGINS", str(OUTSIDE))
+    let_hydra_find_plugins()
+    for name, *arguments in commands(page):
+        if name.startswith("-") or "--help" in arguments:
+            continue
+        assert name in COMMANDS, name
+        said = [argument for argument in _spelled_out(name, arguments) if not argument.startswith("-")]
+        said = [first_of_a_sweep(argument) for argument in said]
+        config = name
+        if name == "experiment":
+            config = "experiment/" + next(one for one in said if one.startswith("name=")).partition("=")[2]
+        if "--config-dir=mine" in arguments:
+            said.append(f"hydra.searchpath=[file://{rover}]")
+        with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+            assert hydra.compose(config, said), (name, said)
+
+
+def test_commands_are_found_in_the_pages():
+    assert len(CALLS) > 60
+    assert len({call[0] for _, call in CALLS}) >= 15
+
+
+def test_the_pages_on_extending_show_every_plug_in_of_the_test_and_its_commands():
+    shown = [path for page in DOCS.glob("extending/*.md") for path in re.findall(r'--8<-- "(.*?)"', page.read_text())]
+    there = [file for file in OUTSIDE.rglob("*") if file.suffix in (".py", ".yaml")]
+    assert sorted(shown) == sorted(str(file.relative_to(REPOSITORY)) for file in there)
+    tested = [set(line.split()) for line in WAY.strip().splitlines()]
+    for page in sorted(DOCS.glob("extending/*.md")):
+        for call in commands(page):
+            assert "--help" in call or any(set(call) <= line for line in tested), (page.name, call)
+
+
+def test_the_readme_is_short_and_begins_with_a_picture():
+    lines = README.read_text().splitlines()
+    assert len(lines) < 150
+    assert "](docs/images/group.gif)" in "".join(lines[:6])
+    assert (DOCS / "images" / "group.gif").stat().st_size < 500_000
+
+
+@pytest.mark.parametrize(
+    "page", [README, REPOSITORY / "DEPLOYMENT.md", REPOSITORY / "ARCHITECTURE.md"], ids=lambda page: page.stem
+)
+def test_links_of_files_at_the_top_lead_to_files_and_their_sections(page):
+    for link in re.findall(r"\]\(([^)]+)\)", page.read_text()):
+        if link.startswith("http"):
+            continue
+        path, _, section = link.partition("#")
+        file = REPOSITORY / path
+        assert file.exists(), link
+        headings = re.findall(r"^#+ (.*)$", file.read_text(), re.MULTILINE) if section else []
+        assert not section or section in {re.sub(r"[^\w\- ]", "", one.lower()).replace(" ", "-") for one in headings}, (
+            link
+        )
+
+
+def test_no_page_calls_the_outcome_of_a_single_seed_the_best():
+    """The word is left for the best possible model, which is a bound."""
+    for page in PAGES:
+        words = " ".join(page.read_text().split())
+        for said in re.findall(r".{0,40}\bbest\b.{0,40}", words):
+            assert "best possible" in said or "is called the best" in said, (page.name, said)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The documentation, built strictly: a link, a section or a file that is not there is an error."""
+    pytest.importorskip("mkdocs", reason="the documentation is built by `make docs`, which installs what it takes")
+    folder = tmp_path_factory.mktemp("documentation") / "site"
+    build = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
+    answer = subprocess.run(build, cwd=REPOSITORY, env=environment, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    return folder
+
+
+SHOWN = {
+    "index.html": "Record one cheap robot",
+    "first-hour.html": "Watch a group drive",
+    "results.html": "Micro-Underwater Robot",
+    "diagnosing.html": "command_delay",
+    "extending/mechanism.html": "wheels turn more slowly backwards",
+    "notebooks/own_recording.html": "are they in metres?",
+    "reference/commands/train.html": "real_share",
+    "reference/configuration/robot.html": "differential_drive",
+    "reference/code/simulation.html": "What a mechanism is: one stage of the signal chain",
+    "changelog.html": "Unreleased",
+}
+
+
+@pytest.mark.claims
+def test_the_documentation_loads_without_errors_and_shows_what_it_should(site, browser):
+    for width, (path, said) in itertools.product((1280, 400), SHOWN.items()):
+        page = browser.open(site / path, width)
+        assert said in page.text(), path
+        assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)"), path
+        assert page.errors == [], path
+        assert page.elsewhere() == [], path
+        assert not page.is_wider_than_the_window(), path
+
+
+@pytest.mark.claims
+def test_the_documentation_can_be_searched_from_a_folder(site, browser):
+    page = browser.open(site / "index.html")
+    page.evaluate("document.querySelector('.md-search__input').focus()")
+    page.evaluate(
+        "(box => { box.value = 'battery_sag'; box.dispatchEvent(new KeyboardEvent('keyup', {bubbles: true}));"
+        "box.dispatchEvent(new Event('input', {bubbles: true})); })(document.querySelector('.md-search__input'))"
+    )
+    page.wait_until("document.querySelectorAll('.md-search-result__item').length > 0")
+    assert page.errors == []
+
+
+@pytest.mark.claims
+def test_the_reference_names_every_command_every_choice_and_every_module(site):
+    for name in COMMANDS:
+        assert name == "experiment" or (site / "reference" / "commands" / f"{name}.html").exists()
+    for file in (REPOSITORY / "conf").rglob("*.yaml"):
+        content = yaml.safe_load(file.read_text())
+        group = file.parent.relative_to(REPOSITORY / "conf").as_posix()
+        if group in (".", "experiment") or not isinstance(content, dict):
+            continue
+        shown = (site / "reference" / "configuration" / f"{group.replace('/', '-')}.html").read_text()
+        assert f"{group}={file.stem}" in shown
+    modules = list((REPOSITORY / "src" / "swarmtwin" / "simulation" / "mechanisms").glob("[a-z]*.py"))
+    shown = (site / "reference" / "code" / "simulation-mechanisms.html").read_text()
+    assert all(f">{file.stem}</code>" in shown for file in modules)
+    assert Path(site / "search" / "search_index.js").exists()
