@@ -4,6 +4,7 @@ import dataclasses
 import logging
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 from edits import edit_header, lines_of, replace_cell, write_lines
 
@@ -25,7 +26,7 @@ def folder(mgr, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["mgr", "mur", "create"])
-@pytest.mark.parametrize("file_format", ["csv", "parquet"])
+@pytest.mark.parametrize("file_format", ["csv", "parquet", "one_file"])
 def test_what_was_written_is_read_up_to_the_stated_rounding(robots, name, file_format, tmp_path):
     robot = robots[name]
     tracks = drive(robot, runs=3, steps=20, vehicles=("02", "2", "drone seven"))
@@ -51,13 +52,39 @@ def test_writing_what_was_read_changes_nothing(mgr, folder, tmp_path):
     assert (again / "recording.yaml").read_text() == (folder / "recording.yaml").read_text()
 
 
-def test_csv_and_parquet_hold_the_same(mgr, tmp_path):
+def assert_same_tracks(one, other):
+    for first, second in zip(one.tracks, other.tracks, strict=True):
+        assert (first.run, first.vehicle) == (second.run, second.vehicle)
+        assert np.array_equal(first.pose, second.pose, equal_nan=True)
+        assert np.array_equal(first.command, second.command, equal_nan=True)
+
+
+@pytest.mark.parametrize("file_format", ["parquet", "one_file"])
+def test_csv_and_parquet_hold_the_same(mgr, tmp_path, file_format):
     tracks = drive(mgr)
     csv = read_recording(write_drive(tmp_path / "csv", mgr, tracks, "csv"), mgr)
-    parquet = read_recording(write_drive(tmp_path / "parquet", mgr, tracks, "parquet"), mgr)
-    for one, other in zip(csv.tracks, parquet.tracks, strict=True):
-        assert np.array_equal(one.pose, other.pose)
-        assert np.array_equal(one.command, other.command, equal_nan=True)
+    parquet = read_recording(write_drive(tmp_path / "parquet", mgr, tracks, file_format), mgr)
+    assert_same_tracks(csv, parquet)
+
+
+def test_many_runs_are_one_file_and_few_are_files_of_their_own(mgr, tmp_path):
+    few, many = drive(mgr, runs=99, steps=2), drive(mgr, runs=100, steps=2)
+    assert len(list((write_drive(tmp_path / "few", mgr, few, None) / "runs").iterdir())) == 99
+    folder = write_drive(tmp_path / "many", mgr, many, None)
+    assert sorted(file.name for file in folder.iterdir() if file.suffix in (".yaml", ".parquet")) == [
+        "recording.yaml",
+        "runs.parquet",
+    ]
+    assert_same_tracks(read_recording(folder, mgr), read_recording(write_drive(tmp_path / "csv", mgr, many), mgr))
+
+
+def test_a_run_may_end_in_a_later_row_group_than_it_begins_in(mgr, tmp_path):
+    folder = write_drive(tmp_path / "recording", mgr, drive(mgr, runs=5, steps=7), "one_file")
+    before = read_recording(folder, mgr)
+    table = pyarrow.parquet.read_table(folder / "runs.parquet")
+    for rows in (1, 3, 8, 13):
+        pyarrow.parquet.write_table(table, folder / "runs.parquet", row_group_size=rows)
+        assert_same_tracks(read_recording(folder, mgr), before)
 
 
 def test_written_rows_are_short(folder):

@@ -1,5 +1,6 @@
 """What cannot be read is refused, word for word: file, row, column, what is wrong, remedy."""
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
@@ -98,7 +99,53 @@ def test_another_period(mgr, folder):
 
 def test_no_runs_folder(mgr, folder):
     (folder / "runs").rename(folder / "Runs")
-    assert refusal(folder, mgr) == f"{folder}/runs is missing: put one file a run there, .csv or .parquet"
+    assert refusal(folder, mgr) == (
+        f"{folder}/runs is missing: put one file a run there, .csv or .parquet, or all in runs.parquet beside it"
+    )
+
+
+@pytest.fixture
+def together(mgr, tmp_path):
+    """A recording of two runs in one file."""
+    return write_drive(tmp_path / "together", mgr, drive(mgr, runs=2, steps=4), "one_file")
+
+
+def test_runs_in_a_folder_and_in_one_file(mgr, together):
+    (together / "runs").mkdir()
+    assert refusal(together, mgr) == f"{together} holds both runs/ and runs.parquet: remove one of them"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda t: t.drop_columns("run"), "column 'run' is missing: add it: the name of the run that each row is of"),
+        (
+            lambda t: t.take(np.argsort(np.arange(len(t)) % 3, kind="stable")),
+            "row 8: the rows of run 'run_00000' do not stand together: sort the rows by run",
+        ),
+        (
+            lambda t: t.set_column(0, "run", pa.array([None, *t["run"].to_pylist()[1:]])),
+            "row 1, column 'run': no run is named: write the run's name",
+        ),
+        (
+            lambda t: t.set_column(0, "run", pa.array(np.linspace(0, 1, len(t)))),
+            "column 'run': values of type double instead of text: store text",
+        ),
+        (lambda t: t.slice(0, 0), "there are no rows: record again, or remove the file"),
+    ],
+)
+def test_a_file_of_all_runs_with_a_mistake(mgr, together, change, message):
+    file = together / "runs.parquet"
+    pyarrow.parquet.write_table(change(pyarrow.parquet.read_table(file)), file)
+    said = refusal(together, mgr)
+    assert said.startswith(f"{file}")
+    assert said.endswith(message)
+
+
+def test_a_file_of_all_runs_that_breaks_off(mgr, together):
+    file = together / "runs.parquet"
+    file.write_bytes(file.read_bytes()[:-200])
+    assert "the file is damaged or cut off; copy it again" in refusal(together, mgr)
 
 
 def test_no_runs(mgr, folder):

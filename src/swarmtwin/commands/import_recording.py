@@ -28,7 +28,7 @@ class Options(StrictModel):
     vehicles: Vehicles
     run_s: Annotated[float, Field(le=86_400.0)]  # a day: more is a mistake in the unit
     output: Path
-    format: FileFormat
+    format: FileFormat | None
     overwrite: bool
 
     @model_validator(mode="after")

@@ -41,7 +41,7 @@ class Options(StrictModel):
     drive: Path | None
     lost_poses: Annotated[float, Field(ge=0, lt=1)]
     film: Annotated[int, Field(ge=1, le=120)] | None
-    format: FileFormat
+    format: FileFormat | None
     output: Path
     overwrite: bool
 

@@ -43,7 +43,7 @@ class Options(StrictModel):
     video_began_s: float
     longest_gap_s: Positive
     run_s: Annotated[float, Field(gt=0, le=86_400.0)]
-    format: FileFormat
+    format: FileFormat | None
     output: Path
     overwrite: bool
 

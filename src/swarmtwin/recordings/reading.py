@@ -6,7 +6,7 @@ import itertools
 import logging
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,12 +20,13 @@ from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
-from swarmtwin.recordings.tables import parse_run
+from swarmtwin.recordings.tables import RunTable, parse_run, parse_runs_together
 from swarmtwin.recordings.tracks import tracks_of
 from swarmtwin.robot import Robot
 
 HEADER_FILE = "recording.yaml"
 RUNS_FOLDER = "runs"
+RUNS_FILE = "runs.parquet"
 RUN_SUFFIXES = (".csv", ".parquet")
 
 logger = logging.getLogger(__name__)
@@ -52,19 +53,18 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
-    for file in files:
-        content = _read_bytes(file)
-        digest.update(file.stem.encode() + b"\0" + hashlib.sha256(content).digest())
-        table = parse_run(file, content, robot)
+    for run, table in _run_tables(files, robot, digest):
         unread |= dict.fromkeys(table.unread)
-        run_tracks, run_dropped = tracks_of(table, file.stem, header.vehicles)
+        run_tracks, run_dropped = tracks_of(table, run, header.vehicles)
         tracks += run_tracks
         dropped += run_dropped
         beyond_a_turn |= bool(np.any(np.abs(table.pose[:, 2]) > 2 * np.pi))
         if beyond_a_turn:
-            in_degrees += tracks_of(table.with_headings_in_degrees(), file.stem, header.vehicles)[0]
+            in_degrees += tracks_of(table.with_headings_in_degrees(), run, header.vehicles)[0]
     if not tracks:
-        raise fault(folder / RUNS_FOLDER, "no run holds a complete row", "record the runs again")
+        raise fault(
+            files[0].parent if len(files) > 1 else files[0], "no run holds a complete row", "record the runs again"
+        )
     _log_oddities(folder, tracks, dropped, tuple(unread))
     sent = _sent_commands(folder / SENT_FILE, robot)
     recording = Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest(), sent=sent)
@@ -80,6 +80,20 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
         logger.info("%s: %d runs, taken as %d blocks", folder, len(recording.runs), len(cut.runs))
         recording = cut
     return replace(recording, warnings=warnings)
+
+
+def _run_tables(files: Sequence[Path], robot: Robot, digest: "hashlib._Hash") -> Iterator[tuple[str, RunTable]]:
+    """Yield each run's name and rows, in order of name; `digest` takes in the files."""
+    if files[0].name == RUNS_FILE:
+        with files[0].open("rb") as content:
+            while part := content.read(2**24):
+                digest.update(part)
+        yield from parse_runs_together(files[0], robot)
+        return
+    for file in files:
+        content = _read_bytes(file)
+        digest.update(file.stem.encode() + b"\0" + hashlib.sha256(content).digest())
+        yield file.stem, parse_run(file, content, robot)
 
 
 def _sent_commands(file: Path, robot: Robot) -> Sent | None:
@@ -141,10 +155,16 @@ def _check_header(file: Path, header: Header, robot: Robot) -> None:
 
 
 def _run_files(folder: Path) -> list[Path]:
-    """List the files of the runs in order of name, without those of another kind."""
-    runs = folder / RUNS_FOLDER
+    """List the files of the runs in order of name, without those of another kind; or the one file of all of them."""
+    runs, together = folder / RUNS_FOLDER, folder / RUNS_FILE
+    if together.exists():
+        if runs.exists():
+            raise UserError(f"{folder} holds both {RUNS_FOLDER}/ and {RUNS_FILE}: remove one of them")
+        return [together]
     if not runs.is_dir():
-        raise UserError(f"{runs} is missing: put one file a run there, {' or '.join(RUN_SUFFIXES)}")
+        raise UserError(
+            f"{runs} is missing: put one file a run there, {' or '.join(RUN_SUFFIXES)}, or all in {RUNS_FILE} beside it"
+        )
     entries = sorted(entry for entry in runs.iterdir() if not entry.name.startswith("."))
     files = [entry for entry in entries if _is_run(entry)]
     others = [entry.name for entry in entries if not _is_run(entry)]
@@ -157,6 +177,8 @@ def _run_files(folder: Path) -> list[Path]:
 
 
 def _log_others(runs: Path) -> None:
+    if not runs.is_dir():
+        return
     others = sorted(entry.name for entry in runs.iterdir() if not entry.name.startswith(".") and not _is_run(entry))
     if others:
         logger.warning("%s: %s left unread, no %s", runs, ", ".join(others[:5]), " or ".join(RUN_SUFFIXES))

@@ -1,11 +1,12 @@
-"""One run's file, CSV or Parquet, parsed into columns of numbers; what cannot be parsed is told by row and column."""
+"""Files of runs, CSV or Parquet, parsed into columns of numbers; what cannot be parsed is told by row and column."""
 
 import csv
 import difflib
 import functools
+import itertools
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -18,8 +19,11 @@ import pyarrow.parquet
 
 from swarmtwin.configuration import config_files
 from swarmtwin.errors import UserError
+from swarmtwin.files import check_regular
 from swarmtwin.recordings.recording import fault
 from swarmtwin.robot import POSE_COLUMNS, Robot
+
+RUN_COLUMN = "run"
 
 
 def run_columns(robot: Robot) -> tuple[str, ...]:
@@ -182,28 +186,90 @@ def _line_number(content: bytes, index: int) -> int:
 
 
 def _parse_parquet(file: Path, content: bytes, robot: Robot) -> RunTable:
-    damaged = "the file is damaged or cut off; copy it again from where it was recorded"
     try:
         parquet = pa.parquet.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
         unread = check_columns(parquet.schema_arrow.names, robot, file)
         stored = parquet.read(columns=list(run_columns(robot)), use_threads=False)
         stored.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise fault(file, f"no Parquet file can be read ({str(error).splitlines()[0]})", damaged) from None
+        raise _unreadable(file, error) from None
     if not len(stored):
         raise fault(file, "there are no rows", "record the run again, or remove the file")
-    cast = {name: _cast(file, name, stored.column(name)) for name in run_columns(robot)}
-    return _run_table(file, pa.table(cast), robot, False, unread, lambda index: index + 1)
+    return _run_table(file, _cast_columns(file, stored, robot), robot, False, unread, lambda index: index + 1)
+
+
+def parse_runs_together(file: Path, robot: Robot) -> Iterator[tuple[str, RunTable]]:
+    """Parse a Parquet file of many runs, one row group after another; yield each run's name and rows.
+
+    Raises:
+        UserError: the file is damaged, its columns are not those of the robot and `run`, or a run's rows do not stand
+            together.
+    """
+    check_regular(file)
+    try:
+        parquet = pa.parquet.ParquetFile(file, page_checksum_verification=True)
+        names = parquet.schema_arrow.names
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _unreadable(file, error) from None
+    with parquet:
+        unread = tuple(name for name in check_columns(names, robot, file) if name != RUN_COLUMN)
+        if RUN_COLUMN not in names:
+            raise fault(file, f"column {RUN_COLUMN!r} is missing", "add it: the name of the run that each row is of")
+        done: set[str] = set()
+        for run, first_row, table in _rows_by_run(file, parquet, robot):
+            if run in done:
+                raise fault(file, f"the rows of run {run!r} do not stand together", "sort the rows by run", first_row)
+            done.add(run)
+            yield run, _run_table(file, table, robot, False, unread, lambda index, first=first_row: first + index)
+    if not done:
+        raise fault(file, "there are no rows", "record again, or remove the file")
+
+
+def _rows_by_run(file: Path, parquet: pa.parquet.ParquetFile, robot: Robot) -> Iterator[tuple[str, int, pa.Table]]:
+    """Yield runs of equal names as they stand: name, number of the first row from 1, rows."""
+    begun: list[pa.Table] = []
+    name, first_row, row = "", 1, 1
+    for group in range(parquet.num_row_groups):
+        try:
+            stored = parquet.read_row_group(group, columns=[RUN_COLUMN, *run_columns(robot)], use_threads=False)
+            stored.validate(full=True)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _unreadable(file, error) from None
+        runs = _cast(file, RUN_COLUMN, stored.column(RUN_COLUMN)).to_numpy().astype(object)
+        if (nameless := [not run or not str(run).strip() for run in runs]) and any(nameless):
+            raise fault(file, "no run is named", "write the run's name", row + nameless.index(True), RUN_COLUMN)
+        table = _cast_columns(file, stored, robot)
+        edges = [0, *(np.flatnonzero(runs[1:] != runs[:-1]) + 1), len(runs)] if len(runs) else [0]
+        for start, end in itertools.pairwise(edges):
+            if begun and runs[start] != name:
+                yield name, first_row, pa.concat_tables(begun)
+                begun = []
+            if not begun:
+                name, first_row = str(runs[start]), row + int(start)
+            begun.append(table.slice(start, end - start))
+        row += len(runs)
+    if begun:
+        yield name, first_row, pa.concat_tables(begun)
+
+
+def _cast_columns(file: Path, stored: pa.Table, robot: Robot) -> pa.Table:
+    return pa.table({name: _cast(file, name, stored.column(name)) for name in run_columns(robot)})
+
+
+def _unreadable(file: Path, error: Exception) -> UserError:
+    damaged = "the file is damaged or cut off; copy it again from where it was recorded"
+    return fault(file, f"no Parquet file can be read ({str(error).splitlines()[0]})", damaged)
 
 
 def _cast(file: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
-    fits = text if name == "vehicle" else pa.types.is_floating(kind) or pa.types.is_null(kind)
+    is_name = name in ("vehicle", RUN_COLUMN)
+    fits = text if is_name else pa.types.is_floating(kind) or pa.types.is_null(kind)
     if not fits and not pa.types.is_integer(kind):
-        wanted = "text" if name == "vehicle" else "numbers"
+        wanted = "text" if is_name else "numbers"
         raise fault(file, f"values of type {kind} instead of {wanted}", f"store {wanted}", column=name)
-    return column.cast(pa.string() if name == "vehicle" else pa.float64(), safe=False)
+    return column.cast(pa.string() if is_name else pa.float64(), safe=False)
 
 
 def _run_table(

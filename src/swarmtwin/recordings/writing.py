@@ -1,6 +1,6 @@
 """Writing a recording in the format that `reading` reads."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -11,35 +11,54 @@ import pyarrow.parquet
 import yaml
 
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.reading import HEADER_FILE, RUNS_FOLDER
+from swarmtwin.recordings.reading import HEADER_FILE, RUNS_FILE, RUNS_FOLDER
 from swarmtwin.recordings.recording import Header, Track
-from swarmtwin.recordings.tables import run_columns
+from swarmtwin.recordings.tables import RUN_COLUMN, run_columns
 from swarmtwin.robot import Robot
 
-FileFormat = Literal["csv", "parquet"]
+FileFormat = Literal["csv", "parquet", "one_file"]
 
 # Finer than any camera or clock: 1 ms, 0.001 mm, 0.00001 rad.
 TIME_DECIMALS, POSITION_DECIMALS, HEADING_DECIMALS, COMMAND_DECIMALS = 3, 3, 5, 6
 
 
 def write_recording(
-    folder: Path, robot: Robot, header: Header, tracks: Sequence[Track], file_format: FileFormat = "csv"
+    folder: Path,
+    robot: Robot,
+    header: Header,
+    tracks: Sequence[Track],
+    file_format: FileFormat | None = "csv",
+    many_runs: int = 100,
 ) -> None:
-    """Write `recording.yaml` and `runs/` into an existing `folder`, as `files.new_folder` gives it.
+    """Write `recording.yaml` and the runs into an existing `folder`, as `files.new_folder` gives it.
 
     Times are rounded to 1 ms, positions to 0.001 mm, headings to 1e-5 rad, commands to 1e-6; NaN becomes an empty cell.
-    Each run is one file; rows of several vehicles interleave in order of time.
+    Rows of several vehicles interleave in order of time.
+
+    Args:
+        folder: the recording's.
+        robot: whose columns are written.
+        header: of the recording.
+        tracks: what was driven.
+        file_format: `csv` or `parquet`: one file a run, in `runs/`; `one_file`: all in `runs.parquet`; None: CSV, or
+            one file where there are many runs.
+        many_runs: these, at least.
 
     Raises:
         UserError: a run or vehicle has a name that the format cannot hold.
     """
-    (folder / RUNS_FOLDER).mkdir()
     content = header.model_dump(mode="json", exclude_none=True)
     (folder / HEADER_FILE).write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
     by_run: dict[str, list[Track]] = {}
     for track in tracks:
         _check_names(track)
         by_run.setdefault(track.run, []).append(track)
+    if file_format is None:
+        file_format = "one_file" if len(by_run) >= many_runs else "csv"
+    if file_format == "one_file":
+        _write_together(folder / RUNS_FILE, by_run, robot)
+        return
+    (folder / RUNS_FOLDER).mkdir()
     for run, run_tracks in by_run.items():
         table = _table(run_tracks, robot)
         path = folder / RUNS_FOLDER / f"{run}.{file_format}"
@@ -48,6 +67,23 @@ def write_recording(
         else:
             options = pa.csv.WriteOptions(quoting_style="none", quoting_header="none")
             pa.csv.write_csv(table, path, write_options=options)
+
+
+def _write_together(
+    file: Path, by_run: Mapping[str, Sequence[Track]], robot: Robot, rows_a_group: int = 100_000
+) -> None:
+    """Write all runs into one file, in order of name; it can be read a group of rows at a time, as it is written."""
+    schema = pa.schema([(RUN_COLUMN, pa.string()), *_table(next(iter(by_run.values())), robot).schema])
+    waiting: list[pa.Table] = []
+    with pa.parquet.ParquetWriter(file, schema, write_page_checksum=True) as writer:
+        for run in sorted(by_run):
+            table = _table(by_run[run], robot)
+            waiting.append(table.add_column(0, RUN_COLUMN, pa.array([run] * len(table), pa.string())).cast(schema))
+            if sum(map(len, waiting)) >= rows_a_group:
+                writer.write_table(pa.concat_tables(waiting))
+                waiting = []
+        if waiting:
+            writer.write_table(pa.concat_tables(waiting))
 
 
 def _check_names(track: Track) -> None:
@@ -72,4 +108,4 @@ def _table(tracks: Sequence[Track], robot: Robot) -> pa.Table:
 def _column(values: np.ndarray) -> pa.Array:
     if values.dtype == object:
         return pa.array(values, pa.string())
-    return pa.array(values + 0.0, from_pandas=True)  # −0 becomes 0, NaN null
+    return pa.array(values + 0.0, pa.float64(), from_pandas=True)  # −0 becomes 0, NaN null
