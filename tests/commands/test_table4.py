@@ -1,0 +1,71 @@
+"""`swarmtwin experiment name=table4`: generators side by side, every one of them with the same columns."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from swarmtwin.configuration import config_folder
+from swarmtwin.generators.generator import generator_names
+from swarmtwin.transitions import load_preparation
+
+KEPT = ("gan", "gaussian_mixture")
+DROPPED = [f"~generators.{name}" for name in generator_names() if name not in KEPT]
+EXPERIMENT = (
+    "experiment",
+    "name=table4",
+    "transitions=prepared",
+    "generators.gan.steps=40",
+    "generators.gaussian_mixture.components=10",
+    "student.steps=60",
+    "recipe.batch_size=128",
+    "synthetic=900",
+    *DROPPED,
+)
+
+
+def test_each_generator_and_its_student_have_a_row_with_the_same_columns(swarmtwin, workshop):
+    swarmtwin("prepare", "recording=reference", "output=prepared")
+    answer = swarmtwin(*EXPERIMENT, "+generator@generators.gan_2=gan", "generators.gan_2.epochs=2", "output=out")
+    assert answer.status == 0, answer.error
+    table = pd.read_csv(workshop / "out" / "table.csv").set_index("generator")
+    assert list(table.index) == ["real", "gan", "gaussian_mixture", "gan_2"]
+    quality = json.loads((workshop / "out" / "gan" / "quality.json").read_text())
+    assert table.recall["gan"] == pytest.approx(quality["synthetic"]["recall"], rel=1e-4)
+    assert table.recall["real"] == pytest.approx(quality["real"]["recall"], rel=1e-4)
+    ratio = quality["synthetic"]["spread"]["turn_rad"] / quality["held_out_spread"]["turn_rad"]
+    assert table.spread_turn_ratio["gan"] == pytest.approx(ratio, rel=1e-4)
+    shared = table.drop(
+        columns=["kind", "dead", "nearer_to_learned", "exact_copies", "redrawn_share", "generator_cpu_s"]
+    )
+    assert np.isfinite(shared[table.dead.isna()]).all().all()
+    assert load_preparation(workshop / "out" / "gan" / "transitions").generator.name == "gan"
+    history = pd.read_csv(workshop / "out" / "gan_2" / "history.csv")
+    learned = load_preparation(workshop / "prepared").transitions["train"]
+    assert history.step.max() == round(2 * learned / 96)
+    assert "gaussian_mixture" in answer.shown
+
+
+def test_students_are_judged_on_the_runs_that_are_asked_for(swarmtwin, workshop):
+    swarmtwin("prepare", "recording=reference", "output=prepared")
+    few = (*EXPERIMENT, "~generators.gan")
+    for split in ("validation", "test"):
+        assert swarmtwin(*few, f"judged_on={split}", f"output={split}").status == 0
+    tables = [pd.read_csv(workshop / split / "table.csv").set_index("generator") for split in ("validation", "test")]
+    assert tables[0].position_mm["real"] != tables[1].position_mm["real"]
+    np.testing.assert_array_equal(tables[0].precision, tables[1].precision)
+    assert swarmtwin(*few, "judged_on=train", "output=train").status == 2
+
+
+def test_every_shipped_generator_is_in_the_table():
+    content = yaml.safe_load((config_folder() / "experiment" / "table4.yaml").read_text())
+    listed = [
+        value
+        for entry in content["defaults"]
+        if isinstance(entry, dict)
+        for key, value in entry.items()
+        if "/generator@" in key
+    ]
+    assert sorted(listed) == sorted(generator_names())
