@@ -5,7 +5,8 @@ columns as a row has, and the second the recorded transitions: one generator mak
 noise of a transition, a discriminator judges each, and whoever goes there and back must arrive where it began (mean
 absolute difference). So the generator can neither leave transitions out nor make one of different noise. To draw, noise
 is translated. Least-squares losses as published; perceptrons instead of residual convolutions, and no memory of rows
-generated before. The learning rate falls to zero in the second half, as published.
+generated before, and a cycle weighs 1 instead of 10, which was for pictures. The learning rate falls to zero in the
+second half, as published.
 """
 
 from typing import Annotated, Literal

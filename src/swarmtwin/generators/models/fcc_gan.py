@@ -1,8 +1,8 @@
 """FCC-GAN: fully connected and convolutional networks (Barua, Erfani and Bailey 2019, arXiv:1905.02417).
 
 Several fully connected layers lead from the noise to the deconvolutions of a DC-GAN, and from the discriminator's
-convolutions, which are followed by average pooling, to its score. Brought to transitions as DC-GAN is: one-dimensional
-over a row's columns, smaller, and with a learning rate that falls to zero.
+convolutions, which are followed by average pooling, to its score. Brought to transitions as DC-GAN is, one-dimensional
+over a row's columns and smaller, and trained as it is.
 """
 
 from typing import Annotated, ClassVar, Literal

@@ -2,7 +2,8 @@
 
 The dynamic variant without labels: each component's mean and linear map are learned together with the generator, and a
 component is drawn with equal chances. Networks are perceptrons, as the published GAN's but wider, instead of
-convolutions for images. Beyond the publication the learning rate falls to zero in the second part of the training.
+convolutions for images. Validation runs chose three steps of the discriminator for each of the generator's, no
+averaging of gradients, and a learning rate that falls to zero.
 """
 
 from typing import Annotated, Literal
