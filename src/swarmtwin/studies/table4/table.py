@@ -8,19 +8,16 @@ from rich.table import Table
 
 
 def generator_rows(table: pd.DataFrame) -> list[dict[str, str]]:
-    """Return each row of table.csv as a person reads it: what stands under which heading."""
+    """Return each row of table.csv as a person reads it: what stands under which heading, one figure a line."""
     return [
         {
-            "generator": row["generator"],
-            "student, mm": _pair(row, "position_mm", "position_sd_mm") if pd.isna(row["dead"]) else "dead",
-            "student, °": _pair(row, "orientation_deg", "orientation_sd_deg") if pd.isna(row["dead"]) else "dead",
-            "spread, × real": " ".join(f"{row[f'spread_{part}_ratio']:.2f}" for part in ("forward", "left", "turn")),
-            "precision": f"{row['precision']:.3f}",
-            "recall": f"{row['recall']:.3f}",
-            "distance": f"{row['neighbour_distance']:.4f}",
-            "told apart": f"{row['told_apart']:.3f}",
-            "nearer to learned": _or_nothing(row["nearer_to_learned"], "{:.3f}"),
-            "copies": _or_nothing(row["exact_copies"], "{:.0f}"),
+            "\ngenerator": row["generator"],
+            "student\nmm, °": _student(row),
+            "spread\n× real": " ".join(f"{row[f'spread_{part}_ratio']:.2f}" for part in ("forward", "left"))
+            + f"\n{row['spread_turn_ratio']:.2f}",
+            "precision\nrecall": f"{row['precision']:.3f}\n{row['recall']:.3f}",
+            "told apart\nnearer": f"{row['told_apart']:.3f}\n{_or_nothing(row['nearer_to_learned'], '{:.3f}')}",
+            "distance\ncopies": f"{row['neighbour_distance']:.4f}\n{_or_nothing(row['exact_copies'], '{:.0f}')}",
         }
         for row in table.to_dict("records")
     ]
@@ -28,20 +25,26 @@ def generator_rows(table: pd.DataFrame) -> list[dict[str, str]]:
 
 def generator_table(title: str, table: pd.DataFrame, student: str, judged_on: str) -> Table:
     """Return the terminal's table: real transitions, then each generator."""
-    title = f"{title}: {student} trained on transitions of each generator, judged on {judged_on} runs"
+    title = f"{title}: {student} trained on each generator's transitions, judged on {judged_on} runs"
     shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title)
     rows = generator_rows(table)
-    for heading in rows[0]:
-        shown.add_column(heading, justify="left" if heading == "generator" else "right", no_wrap=heading == "generator")
+    for number, heading in enumerate(rows[0]):
+        shown.add_column(heading, justify="right" if number else "left", no_wrap=True)
     for row in rows:
         shown.add_row(*row.values())
     shown.caption = (
-        "real: trained on real transitions, and how real ones measure among themselves; student: mean ± standard "
-        "deviation; spread: of displacements around what the situation lets expect, forward, left and turn; distance: "
-        "to the 8 nearest real rows, columns scaled 0…1; told apart by boosted trees and nearer to rows learned from "
-        "than to others: ideal 0.5. Quality is measured on validation runs"
+        "real: trained on real transitions, and how they measure among themselves; student: mean ± standard deviation; "
+        "spread: of displacements around what the situation lets expect, forward and left above, turn below; told "
+        "apart by boosted trees, and nearer to rows learned from than to others: ideal 0.5; distance: to the 8 nearest "
+        "real rows, columns scaled 0…1. All but the student is measured on validation runs"
     )
     return shown
+
+
+def _student(row: dict[Any, Any]) -> str:
+    if not pd.isna(row["dead"]):
+        return "dead"
+    return f"{_pair(row, 'position_mm', 'position_sd_mm')}\n{_pair(row, 'orientation_deg', 'orientation_sd_deg')}"
 
 
 def _pair(row: dict[Any, Any], mean: str, spread: str) -> str:
