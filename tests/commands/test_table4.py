@@ -62,6 +62,7 @@ def test_each_generator_and_its_student_have_a_row_with_the_same_columns(swarmtw
     ],
 )
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, option, message):
+    swarmtwin("prepare", "recording=reference", "output=prepared")
     answer = swarmtwin(*EXPERIMENT, option, "output=out")
     assert answer.status == 2
     assert message in answer.error
