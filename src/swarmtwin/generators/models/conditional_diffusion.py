@@ -87,7 +87,8 @@ class ConditionalDiffusionTraining(GeneratorTraining):
 
     def validation_figures(self) -> dict[str, float]:
         """Return the loss of the displacements' model, at angles and with noise that are the same every time."""
-        with torch.inference_mode(), torch.random.fork_rng(devices=[]):
+        devices = [self.device] if self.device.type == "cuda" else []
+        with torch.inference_mode(), torch.random.fork_rng(devices=devices):
             torch.manual_seed(0)
             loss = self.generator.noise.loss(self.validation_displacement, self.validation_inputs)
         return {"validation_noise_loss": float(loss)}
