@@ -12,6 +12,7 @@ from safetensors.torch import load_file, save_file
 
 from swarmtwin.errors import UserError
 from swarmtwin.generators.columns import Columns
+from swarmtwin.generators.generator import generator_names
 from swarmtwin.generators.generator_folder import load_generator, save_generator
 from swarmtwin.generators.quality import Sets, assess
 from swarmtwin.generators.sampling import draw_believable
@@ -25,12 +26,21 @@ def quality(real, trained):
 
 
 @pytest.fixture
-def saved(trained, lineage, quality, tmp_path):
-    """Both generators' folders by name."""
-    for name, generator in trained.items():
+def save(trained, lineage, quality, tmp_path):
+    """Save a trained generator by its name; return its folder."""
+
+    def saving(name):
         (tmp_path / name).mkdir()
-        save_generator(tmp_path / name, generator, lineage, quality)
-    return {name: tmp_path / name for name in trained}
+        save_generator(tmp_path / name, trained[name], lineage, quality)
+        return tmp_path / name
+
+    return saving
+
+
+@pytest.fixture
+def saved(save):
+    """The folders of two generators by name."""
+    return {name: save(name) for name in ("residual_diffusion", "gan")}
 
 
 def change(folder, **changes):
@@ -44,10 +54,11 @@ def refusal(folder):
     return str(refused.value)
 
 
-@pytest.mark.parametrize("name", ["residual_diffusion", "gan"])
-def test_a_generator_saved_and_loaded_draws_the_same_bit_for_bit(saved, trained, lineage, quality, name):
+@pytest.mark.parametrize("name", generator_names())
+def test_a_generator_saved_and_loaded_draws_the_same_bit_for_bit(save, trained, lineage, quality, name):
+    folder = save(name)
     before = torch.random.get_rng_state()
-    generator, description = load_generator(saved[name])
+    generator, description = load_generator(folder)
     assert torch.equal(torch.random.get_rng_state(), before)
     assert (description.lineage, description.quality) == (lineage, quality)
     rows = [draw_believable(each, 300, seed=9).rows for each in (generator, trained[name])]

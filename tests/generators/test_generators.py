@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from plant import CONF, NOISE, config, motion, planted, preparation, share, swimming
+from plant import CONF, NOISE, brief_config, config, motion, planted, preparation, share, swimming
 
 from swarmtwin.errors import UserError
 from swarmtwin.generators.columns import Columns
@@ -67,9 +67,7 @@ def test_the_walls_are_learned_from_poses(robots):
 @pytest.mark.parametrize("name", generator_names())
 def test_the_same_seed_gives_the_same_rows_and_leaves_the_global_random_numbers_alone(robots, name):
     few = planted(robots["mgr"], 600)
-    quick = config(
-        name, **({"mean_model_steps": 20, "noise_steps": 20} if name == "residual_diffusion" else {"steps": 20})
-    )
+    quick = brief_config(name)
     before = torch.random.get_rng_state()
     first, second = (fit(few, quick, seed=5)[0] for _ in range(2))
     other = fit(few, quick, seed=6)[0]

@@ -103,7 +103,7 @@ def _train(options: Options, robot: Robot) -> dict[str, Any]:
     ):
         started = time.monotonic()
         tracked.warnings(preparation.warnings)
-        with _training_bar(f"{robot.name} {config.name}", config.training_steps) as report:
+        with _training_bar(f"{robot.name} {config.name}") as report:
             made = synthesise(
                 transitions,
                 preparation,
@@ -135,15 +135,15 @@ def _track(tracked: TrackedRun, made: Synthesis, seconds: float) -> None:
 
 
 @contextmanager
-def _training_bar(name: str, steps: int) -> Iterator[Report]:
+def _training_bar(name: str) -> Iterator[Report]:
     """Show a bar while the block trains; give the function that moves it."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TextColumn("{task.fields[figures]}"), console=Console(stderr=True)) as bars:
-        task = bars.add_task(name, total=steps, figures="")
+        task = bars.add_task(name, total=None, figures="")
 
-        def report(record: Record) -> None:
+        def report(record: Record, steps: int) -> None:
             figures = "  ".join(f"{value:.4g}" for key, value in record.items() if key.startswith("validation"))
-            bars.update(task, completed=record["step"], figures=figures)
+            bars.update(task, total=steps, completed=record["step"], figures=figures)
 
         yield report
 

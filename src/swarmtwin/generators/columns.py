@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from swarmtwin.errors import UserError
@@ -88,6 +89,24 @@ class Columns:
         others = np.delete(rows, self.headings, axis=1)
         heading = rows[:, self.headings]
         return np.concatenate([others, np.cos(heading), np.sin(heading)], axis=1)
+
+    def with_directions(self, rows: Tensor) -> Tensor:
+        """Return rows (N, width) as `euclidean` does, as a tensor (N, width + headings): what networks see best."""
+        heading = rows[:, self.headings]
+        return torch.cat([rows[:, self._not_headings], heading.cos(), heading.sin()], dim=1)
+
+    def with_angles(self, rows: Tensor) -> Tensor:
+        """Undo `with_directions`; cosine and sine need not be of a unit vector."""
+        others = len(self._not_headings)
+        cos, sin = rows[:, others:].chunk(2, dim=1)
+        angles = torch.empty(len(rows), self.width, dtype=rows.dtype, device=rows.device)
+        angles[:, self._not_headings] = rows[:, :others]
+        angles[:, self.headings] = torch.atan2(sin, cos)
+        return angles
+
+    @property
+    def _not_headings(self) -> list[int]:
+        return [column for column in range(self.width) if column not in self.headings]
 
     def believable(self, rows: np.ndarray) -> np.ndarray:
         """Return (N,) which rows a recording could hold: as `prepare`, so that the same is dropped on both sides.

@@ -1,7 +1,7 @@
 """The one interface of all generators: real rows go in, any number of synthetic rows comes out."""
 
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, NamedTuple, cast
+from typing import Annotated, Any, NamedTuple, Self, cast
 
 import lightning
 import numpy as np
@@ -108,7 +108,8 @@ class GeneratorTraining(lightning.LightningModule, ABC):
 
     def descend(self, loss: Tensor, optimiser: int, learning_rate: float | None = None) -> None:
         """Take a step down the gradient of `loss` with one of the optimisers that `configure_optimizers` lists."""
-        chosen = cast(Any, self.optimizers(use_pl_optimizer=False))[optimiser]
+        listed = self.optimizers(use_pl_optimizer=False)
+        chosen = cast(Any, listed[optimiser] if isinstance(listed, list) else listed)  # Lightning gives one by itself
         if learning_rate is not None:
             chosen.param_groups[0]["lr"] = learning_rate
         chosen.zero_grad()
@@ -129,6 +130,10 @@ class GeneratorConfig(StrictModel):
     @abstractmethod
     def training_steps(self) -> int:
         """How many steps its whole training takes."""
+
+    def completed(self, rows: int) -> Self:
+        """Return it with what depends on the number of real rows it learns from worked out; most have nothing such."""
+        return self
 
     @abstractmethod
     def build(self, columns: Columns) -> Generator:

@@ -16,7 +16,8 @@ from swarmtwin.transitions import Transitions
 Record = dict[str, float]
 """A step's number, the mean losses since the record before, and the figures on the validation rows."""
 
-Report = Callable[[Record], None]
+Report = Callable[[Record, int], None]
+"""Told each record as it is closed, and how many steps the whole training takes."""
 
 
 def fit(
@@ -41,6 +42,7 @@ def fit(
     """
     columns = Columns.of(transitions.robot, transitions.arena_mm)
     real = RealRows.of(transitions, columns)
+    config = config.completed(len(real.train))
     with reproducible(seed, device):
         generator = config.build(columns)
         history = HistoryCallback(config.training_steps, report)
@@ -79,4 +81,4 @@ class HistoryCallback(lightning.Callback):
         self.records.append({"step": step, **losses, **training.validation_figures()})
         self._losses.clear()
         if self.report:
-            self.report(self.records[-1])
+            self.report(self.records[-1], self.steps)

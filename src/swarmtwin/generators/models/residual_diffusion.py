@@ -12,56 +12,37 @@ from pydantic import Field
 from torch import Tensor
 
 from swarmtwin.generators.columns import Columns
+from swarmtwin.generators.conditional import ConditionalGenerator
 from swarmtwin.generators.denoiser import Denoiser
 from swarmtwin.generators.generator import Count, Generator, GeneratorConfig, GeneratorTraining, RealRows, Steps
-from swarmtwin.generators.marginal_distributions import MarginalDistributions
 from swarmtwin.geometry import orientation_error_rad, position_error_mm, wrap_angle
-from swarmtwin.learning.encoding import Encoding
 from swarmtwin.learning.ensemble import Ensemble, folds_of
 from swarmtwin.learning.recipe import OneCycle
-from swarmtwin.robot import Positive, SituationPart
+from swarmtwin.robot import Positive
 
 
-class ResidualDiffusion(Generator):
+class ResidualDiffusion(ConditionalGenerator):
     """Draws a situation, then a displacement for it: the mean of an ensemble of perceptrons plus a residual.
 
     One diffusion model draws residuals, given the situation; another draws how the situation's columns go together.
-    The columns' own distributions are kept as quantiles.
     """
 
     config: "Config"
     residual_scale: Tensor
 
     def __init__(self, columns: Columns, config: "Config") -> None:
-        super().__init__(columns, config)
-        parts: tuple[SituationPart, ...] = ("command", "pose") if columns.has_pose else ("command",)
-        reaches, weight = config.wall_reaches, config.place_weight
-        self.encoding = Encoding.by_limits(columns.robot, parts, reaches, weight, columns.arena_mm)
+        super().__init__(columns, config, config)
         columns_seen = [range(self.encoding.width)]
         self.mean_model = Ensemble(config.members, columns_seen, layers=config.mean_model_layers, alike=False)
         self.noise = Denoiser(3, self.encoding.width, config.noise_width)
         self.situations = Denoiser(columns.situation_width, 0, config.noise_width)
-        self.marginals = MarginalDistributions(columns.situation_width, config.quantiles)
         self.register_buffer("residual_scale", torch.ones(3))
 
-    def inputs(self, situation: Tensor) -> Tensor:
-        """Return what the networks are given of situations (N, situation_width), (N, encoding.width)."""
-        encoded: Tensor = self.encoding(self.columns.situation(situation))
-        return encoded
-
-    def sample(self, count: int, rng: torch.Generator) -> Tensor:
-        """Draw situations, then displacements."""
-        with torch.inference_mode():
-            return torch.cat([self._sample(len(part), rng) for part in torch.empty(count, 0).split(16384)])
-
-    def _sample(self, count: int, rng: torch.Generator) -> Tensor:
-        steps = self.config.sampling_steps
-        scores = self.situations.sample(torch.empty(count, 0, device=self.residual_scale.device), steps, rng)
-        situation = self.marginals.values(scores)
-        inputs = self.inputs(situation.float())
-        displacement = self.mean_model.mean(inputs) + self.noise.sample(inputs, steps, rng) * self.residual_scale
-        displacement[:, 2] = wrap_angle(displacement[:, 2])
-        return torch.cat([situation, displacement], dim=1)
+    def displacements(self, inputs: Tensor, rng: torch.Generator) -> Tensor:
+        """Add a residual to each mean."""
+        residual = self.noise.sample(inputs, self.config.sampling_steps, rng) * self.residual_scale
+        mean: Tensor = self.mean_model.mean(inputs)
+        return mean + residual
 
 
 class ResidualDiffusionTraining(GeneratorTraining):
