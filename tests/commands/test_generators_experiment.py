@@ -1,4 +1,4 @@
-"""`swarmtwin experiment name=table4`: generators side by side, every one of them with the same columns."""
+"""`swarmtwin experiment name=generators`: generators side by side, every one of them with the same columns."""
 
 import json
 
@@ -15,7 +15,7 @@ KEPT = ("gan", "gaussian_mixture")
 DROPPED = [f"~generators.{name}" for name in generator_names() if name not in KEPT]
 EXPERIMENT = (
     "experiment",
-    "name=table4",
+    "name=generators",
     "transitions=prepared",
     "generators.gan.steps=40",
     "generators.gaussian_mixture.components=10",
@@ -70,7 +70,7 @@ def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, option, m
 
 
 def test_every_shipped_generator_is_in_the_table():
-    content = yaml.safe_load((config_folder() / "experiment" / "table4.yaml").read_text())
+    content = yaml.safe_load((config_folder() / "experiment" / "generators.yaml").read_text())
     listed = [
         value
         for entry in content["defaults"]

@@ -1,4 +1,4 @@
-"""Generators side by side: table.csv of `experiment name=table4` as a person reads it."""
+"""Generators side by side: table.csv of `experiment name=generators` as a person reads it."""
 
 from typing import Any
 

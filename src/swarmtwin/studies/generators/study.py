@@ -1,9 +1,8 @@
-"""`swarmtwin experiment name=table4`: table 4 of the paper, CR-Net-S by the generator that it learned from.
+"""`swarmtwin experiment name=generators`: generators side by side, to choose and to tune them by.
 
-Beside the paper's generators stand a conditional GAN, diffusion models and a plain mixture of normal distributions, and
-beside each student's errors what the paper leaves out: whether the noise is as wide as the real one's, whether
-generated transitions cover the real ones, and whether they are copies. Students take equal numbers of optimiser steps.
-Figure 9 is the same generator several times, with other epochs.
+CR-Net as the student of each, judged on validation runs, and beside its errors what the paper leaves out: whether the
+noise is as wide as the real one's, whether generated transitions cover the real ones, and whether they are copies.
+Students take equal numbers of optimiser steps. The same generator may stand there several times, with other epochs.
 """
 
 import json
@@ -30,7 +29,7 @@ from swarmtwin.generators.quality import Comparison, Quality
 from swarmtwin.generators.synthesis import Synthesis, save_synthesis, synthesise
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.robot import Robot, Seed, StrictModel
-from swarmtwin.studies.table4.table import generator_table
+from swarmtwin.studies.generators.table import generator_table
 from swarmtwin.studies.tracked_inputs import split_inputs
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions import Transitions
@@ -41,9 +40,9 @@ Count = Annotated[int, Field(ge=2)]
 
 
 class Options(StrictModel):
-    """Options; their defaults stand in conf/experiment/table4.yaml."""
+    """Options; their defaults stand in conf/experiment/generators.yaml."""
 
-    name: Literal["table4"]
+    name: Literal["generators"]
     robot: Robot
     student: dict[str, Any]
     recipe: Recipe
@@ -84,7 +83,7 @@ def run(options: Options) -> dict[str, Any]:
     given = split_inputs(options.transitions, real[0])
     with (
         new_folder(options.output, "experiment", settings, options.overwrite, inputs=[options.transitions]) as folder,
-        tracked_run("generator", f"{options.robot.name} table 4", settings, given, options.seed) as tracked,
+        tracked_run("generator", f"{options.robot.name} generators", settings, given, options.seed) as tracked,
     ):
         candidates = {}
         for label, candidate in _candidates(options, configs, real):
