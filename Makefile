@@ -124,7 +124,7 @@ docs: .venv/docs  # a link, a section or a file that is not there is an error
 ui: setup
 	$(BIN)/mlflow ui --backend-store-uri $${MLFLOW_TRACKING_URI:-sqlite:///mlflow.db} --host 127.0.0.1 --port 5000
 
-RECORD := $(BIN)/swarmtwin record
+RECORD := $(BIN)/swarmtwin record format=one_file
 data: setup  # what the paper had, and a later session of the ground robot that is not like the first
 	rm -rf data && mkdir data
 	$(RECORD) robot=mgr vehicle=1 transitions=55068 steps=120 seed=1 output=data/mgr/reference
