@@ -99,6 +99,8 @@ def run(options: Options) -> dict[str, Any]:
         provenance = save_learned(folder, task, jobs[0], results, origin)
         if options.pictures:
             draw_learning(folder, folder)
+            for name in ("history.png", "rollout.mp4"):
+                tracked.picture(folder / name)
         _track(tracked, results, provenance, time.monotonic() - started)
         if table:
             tracked.metrics({"table_position_mm": table.position_mm, "table_heading_deg": table.heading_deg})
