@@ -104,6 +104,28 @@ def test_a_large_group_measures_by_a_grid_what_the_formulas_say(vehicles, change
     check_equal(task.measure(scenario, pose), task.measure_compiled(scenario, pose))
 
 
+@pytest.mark.parametrize(
+    ("name", "vehicles", "changes"),
+    [
+        ("formation", 1, {}),
+        ("coverage", 1, {"covered": 0.2}),
+        ("coverage", 200, {"steps": 400}),
+        ("collective", 200, {"reach_mm": 1600, "steps": 400, **LOCAL}),
+    ],
+)
+def test_one_vehicle_and_two_hundred_are_worlds_as_others_are(name, vehicles, changes):
+    side_mm = 1030 * max(1.0, (vehicles / 5) ** 0.5)
+    task = task_named(name, vehicles=vehicles, arena=Arena(x=(0, side_mm), y=(0, side_mm)), **changes)
+    world = World(task, fastest_motion(table_of(), 2, vehicles), 2, seed=1, compiled=True)
+    command = np.random.default_rng(0).uniform(-120, 120, (5, *world.shape))
+    for given in command:
+        step = world.step(given)
+        expected = task.measure(world.scenario, world.pose)
+        assert step.observation == pytest.approx(expected.observation, abs=2e-4)
+        assert step.reward == pytest.approx(expected.reward, abs=1e-3)
+        assert np.array_equal(step.events.collided, expected.events.collided)
+
+
 def check_equal(plain, fast):
     assert fast.observation.dtype == np.float32
     assert fast.observation == pytest.approx(plain.observation, abs=2e-5)
