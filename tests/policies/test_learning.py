@@ -127,6 +127,16 @@ def test_a_policy_learns_in_the_arena_that_its_simulation_states(folder, lossy):
     assert task_in(folder, learner.job.robot, learner.job.task).arena == lossy.conditions.arena_mm
 
 
+def test_a_policy_learns_in_another_arena_if_asked(folder):
+    job = policy_job(folder)
+    wide = job._replace(arena=Arena(x=(2000, 3500), y=(0, 1500)))
+    learner = Learner(wide)
+    assert learner.task.arena == wide.arena
+    assert learner.scenarios.start[..., 0].min() > 2000
+    assert task_in(folder, job.robot, job.task, arena=wide.arena).arena == wide.arena
+    assert wide.identity != job.identity
+
+
 @pytest.mark.usefixtures("lossy")
 def test_an_interrupted_training_continues_to_the_same_drawn_numbers(folder, tmp_path):
     check_continues(policy_job(folder), tmp_path / "seed-1.ckpt")

@@ -27,7 +27,7 @@ from swarmtwin.policies.training import (
     learn_all,
     task_in,
 )
-from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.robot import Arena, Robot, Seed, StrictModel
 from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, TableSettings, tabulated
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation_folder import load_simulation
@@ -45,6 +45,7 @@ class Options(StrictModel):
 
     robot: Robot
     task: dict[str, Any]
+    arena_mm: Arena | None
     policy: dict[str, Any]
     simulation: str | None
     evaluate_every: Annotated[int, Field(ge=1)]
@@ -75,7 +76,7 @@ def run(options: Options) -> dict[str, Any]:
     algorithm = algorithm_config(options.policy, "policy")
     task_to_learn = task_config(options.task, "task")
     source, simulation = _simulation(options)
-    task = task_in(simulation, options.robot, task_to_learn, options.sampled)
+    task = task_in(simulation, options.robot, task_to_learn, options.sampled, options.arena_mm)
     torch_device(options.device)
     table = _table_of(simulation, options)
     randomisation = chosen_randomisation(options.randomisation, load_simulation(simulation), options.draws)
@@ -192,6 +193,7 @@ def _jobs(
             tabulated=options.tabulated,
             table=options.table,
             randomisation=randomisation,
+            arena=options.arena_mm,
         )
         for seed in range(options.seed, options.seed + options.seeds)
     ]
