@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import av
 import mlflow
 import pandas as pd
 import pytest
@@ -29,6 +30,8 @@ FILES = [
     "policy.onnx",
     "policy.yaml",
     "provenance.json",
+    "rollout.mp4",
+    "rollouts.npz",
     "weights.safetensors",
 ]
 
@@ -85,6 +88,10 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
     mine = history[history.seed == policy.provenance.seed]
     assert [metric.step for metric in tracked] == mine.step.tolist()
     assert [metric.value for metric in tracked] == pytest.approx(mine.success.tolist(), abs=1e-5)
+    kept = {file.path for file in mlflow.MlflowClient().list_artifacts(run.info.run_id, "figures")}
+    assert kept == {"figures/history.png", "figures/rollout.mp4"}
+    with av.open(str(workshop / "out" / "rollout.mp4")) as film:
+        assert film.streams.video[0].frames > 40
     assert run.data.params["policy.name"] == "ddpg"
     assert load_policy(version.folder()).provenance == policy.provenance
 

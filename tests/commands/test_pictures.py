@@ -38,7 +38,7 @@ SMALL = ("generator.mean_model_steps=10", "generator.noise_steps=10")
         (("train", "recording=reference", "model=mlp", "model.steps=12", "register=false", "seeds=2"), {"history.png"}),
         (("generate", "robot=mgr", "recording=reference", *SMALL), {"quality.png", "history.png"}),
         (("evaluate", "simulation=mlp", "recording=other_vehicle"), {"runs.png", "scatter.png"}),
-        ((*QUICK, "seeds=2", "register=false"), {"history.png"}),
+        ((*QUICK, "seeds=2", "register=false"), {"history.png", "rollout.mp4"}),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )

@@ -3,7 +3,7 @@
 import pytest
 
 from swarmtwin.tracking import registry
-from tiny_policies import save_seeker
+from tiny_policies import save_seeker, simulation
 
 NAME = "mgr-policy"
 GATE = ("policy_gate.rollouts=100", "policy_gate.least_success=0.5", "policy_gate.most_collisions=0.3")
@@ -47,6 +47,21 @@ def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_
     answer = swarmtwin("promote", "what=policy", "rollback=true")
     assert (answer.status, answer.shown) == (0, f"{NAME}: version 1 is champion again, version 3 no longer\n")
     assert champion_number() == 1
+
+
+def test_a_policy_is_judged_by_what_was_found_as_a_gap(promote, workshop, robots):
+    digest = registry.folder_digest(simulation(workshop / "kinematic", robots["mgr"]))
+    seeker = save_seeker(workshop / "seeker", source="kinematic", digest=digest)
+    weak = "policy_gate.randomisation={gain_change: {gain: [0.9, 1.1]}}"
+    refused = promote(seeker, weak)
+    assert refused.status == 3
+    assert "of 100 roll-outs in a randomised simulation: success is below 50%" in refused.error
+    both = promote(seeker, weak, "policy_gate.deployments=[x]")
+    assert both.status == 2
+    assert "policies are judged by deployments or in a randomised simulation: leave one of the two out" in both.error
+    answer = promote(seeker, weak, "policy_gate.least_success=0")
+    assert answer.status == 0, answer.error
+    assert "in a randomised simulation" in " ".join(answer.shown.split())
 
 
 def test_a_policy_that_collides_too_often_is_refused(promote, workshop):

@@ -64,6 +64,26 @@ def test_an_effect_changes_the_stand_ins_and_not_the_simulation(swarmtwin, works
 
 
 @pytest.mark.usefixtures("seeker")
+def test_what_is_randomised_changes_the_simulation_and_not_the_stand_ins(swarmtwin, workshop):
+    weak = "randomisation={gain_change: {gain: [0.3, 0.5]}}"
+    for name, options in (("usual", []), ("weak", [weak, "draws=4", "sampled=false"])):
+        answer = swarmtwin(*ROLLOUT, *options, f"output={name}")
+        assert answer.status == 0, answer.error
+    usual, changed = (json.loads((workshop / name / "metrics.json").read_text()) for name in ("usual", "weak"))
+    assert changed["stand_in"] == usual["stand_in"]
+    steps = {name: pd.read_parquet(workshop / name / "rollouts.parquet") for name in ("usual", "weak")}
+    first_mm = {}
+    for name, table in steps.items():
+        places = table[(table.world == "simulation") & (table.time_s <= 0.5)].sort_values("time_s")
+        ends = [places.groupby(["rollout", "vehicle"])[["x_mm", "y_mm"]].nth(place).to_numpy() for place in (0, 1)]
+        first_mm[name] = np.hypot(*(ends[1] - ends[0]).T)
+    share = (first_mm["weak"] / first_mm["usual"]).reshape(12, 2)
+    assert ((share > 0.28) & (share < 0.52)).all()
+    assert share[:, 0] == pytest.approx(share[:, 1], rel=0.05)  # of: world
+    assert share[:, 0].std() > 0.02
+
+
+@pytest.mark.usefixtures("seeker")
 def test_one_world_alone_needs_no_other(swarmtwin, workshop):
     assert swarmtwin(*ROLLOUT, "on=[stand_in]", "vehicles=[7,9]", "simulation=nowhere", "output=out").status == 0
     metrics = json.loads((workshop / "out" / "metrics.json").read_text())
@@ -118,6 +138,15 @@ def test_a_policy_that_sees_its_nearest_neighbours_drives_any_number_of_them(swa
         (["policy=mlp"], "no policy in mlp: policy.yaml is missing; name a folder that learn made"),
         (["robot=mur"], "seeker is a policy of robot 'mgr': add robot=mgr"),
         (["simulation=nowhere"], "no model folder nowhere"),
+        (
+            ["on=[stand_in]", "randomisation={command_loss: {probability: [0, 0.1]}}"],
+            "randomisation=... is of the simulation: add on=[simulation], or leave it out",
+        ),
+        (
+            ["randomisation={command_loss: {probability: [0, 2]}}"],
+            "randomisation.command_loss.probability: [0, 2] is not",
+        ),
+        (["randomisation=nowhere"], "nowhere"),
         (["effects=[{name: gain_chang}]"], "effects: unknown effect 'gain_chang': did you mean 'gain_change'?"),
         (["policy=scripted"], "policy=scripted is for any task: add task=NAME, one of collective, "),
         (["policy=scripted", "task=formtion"], "no such task: 'formtion': did you mean 'formation'?"),

@@ -71,23 +71,28 @@ def test_the_same_seed_gives_the_same_policy_and_another_seed_another(folder, na
     assert not same_weights(first, other)
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
-def test_an_interrupted_training_continues_to_the_same_numbers(folder, tmp_path, name):
-    algorithm = small(name)
-    whole = policy_job(folder, algorithm=algorithm).run(None)
-    resumed = policy_job(folder, algorithm=algorithm, checkpoint=tmp_path / "seed-1.ckpt")
+def check_continues(job, checkpoint, evaluations=1):
+    """Kill a job after so many evaluations, continue it, and return what came of it, the same as undisturbed."""
+    whole = job.run(None)
+    resumed, last = job._replace(checkpoint=checkpoint), whole.history[evaluations - 1].step
 
-    def kill_after_the_second_evaluation(seed, done, evaluation):
-        if done > whole.history[1].step:
+    def kill_after_the_evaluations(seed, done, evaluation):
+        if done > last:
             raise KilledError
 
     with pytest.raises(KilledError):
-        resumed.run(kill_after_the_second_evaluation)
+        resumed.run(kill_after_the_evaluations)
     seen = []
     result = resumed.run(lambda seed, done, evaluation: seen.append(done))
-    assert min(seen) > whole.history[1].step
+    assert min(seen) > last
     assert result.history == whole.history
     assert same_weights(result, whole)
+    return result
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_an_interrupted_training_continues_to_the_same_numbers(folder, tmp_path, name):
+    check_continues(policy_job(folder, algorithm=small(name)), tmp_path / "seed-1.ckpt", evaluations=2)
 
 
 @pytest.fixture
@@ -122,20 +127,19 @@ def test_a_policy_learns_in_the_arena_that_its_simulation_states(folder, lossy):
     assert task_in(folder, learner.job.robot, learner.job.task).arena == lossy.conditions.arena_mm
 
 
+def test_a_policy_learns_in_another_arena_if_asked(folder):
+    job = policy_job(folder)
+    wide = job._replace(arena=Arena(x=(2000, 3500), y=(0, 1500)))
+    learner = Learner(wide)
+    assert learner.task.arena == wide.arena
+    assert learner.scenarios.start[..., 0].min() > 2000
+    assert task_in(folder, job.robot, job.task, arena=wide.arena).arena == wide.arena
+    assert wide.identity != job.identity
+
+
 @pytest.mark.usefixtures("lossy")
 def test_an_interrupted_training_continues_to_the_same_drawn_numbers(folder, tmp_path):
-    whole = policy_job(folder).run(None)
-    resumed = policy_job(folder, checkpoint=tmp_path / "seed-1.ckpt")
-
-    def kill_after_the_first_evaluation(seed, done, evaluation):
-        if done > whole.history[0].step:
-            raise KilledError
-
-    with pytest.raises(KilledError):
-        resumed.run(kill_after_the_first_evaluation)
-    result = resumed.run(None)
-    assert result.history == whole.history
-    assert same_weights(result, whole)
+    check_continues(policy_job(folder), tmp_path / "seed-1.ckpt")
 
 
 @pytest.fixture
@@ -151,18 +155,7 @@ def randomised(folder):
 
 
 def test_an_interrupted_training_in_a_randomised_world_continues_to_the_same_numbers(randomised, tmp_path):
-    whole = randomised.run(None)
-    resumed = randomised._replace(checkpoint=tmp_path / "seed-1.ckpt")
-
-    def kill_after_the_first_evaluation(seed, done, evaluation):
-        if done > whole.history[0].step:
-            raise KilledError
-
-    with pytest.raises(KilledError):
-        resumed.run(kill_after_the_first_evaluation)
-    result = resumed.run(None)
-    assert result.history == whole.history
-    assert same_weights(result, whole)
+    result = check_continues(randomised, tmp_path / "seed-1.ckpt")
     assert result.history != randomised._replace(randomisation=None).run(None).history
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tiny_worlds import dynamics_of, robot_named, task_named
 
+from swarmtwin.compiled import compiled
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between, log_map
@@ -11,6 +12,7 @@ from swarmtwin.robot import Arena
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.world.compiled import fastest_motion
+from swarmtwin.world.compiled.elementary import cos_and_sin, exponential
 from swarmtwin.world.compiled.table_motion import TableMotion
 from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.scenario import ScenarioSupply
@@ -20,6 +22,26 @@ LOOSE = TableSettings(points=17, position_mm=1e3, heading_deg=1e3)
 NOISE = MotionNoise(
     at_rest=(0.5, 0.2, 0.001), with_motion=(2.0, 1.0, 0.004), usual_mm=30.0, usual_rad=0.5, camera=(0.3, 0.3, 0.0004)
 )
+
+
+@compiled
+def elementary_functions(angle_rad, power, cos, sin, grown):
+    for place in range(len(angle_rad)):
+        cos[place], sin[place] = cos_and_sin(angle_rad[place])
+        grown[place] = exponential(power[place])
+
+
+def test_cosine_sine_and_exponential_are_those_of_float32():
+    angle_rad = np.concatenate([np.linspace(-7, 7, 50_001), np.linspace(-1e6, 1e6, 50_001)])
+    power = np.linspace(-87, 88, len(angle_rad)).astype(np.float32)
+    cos, sin, grown = np.empty((3, len(angle_rad)), np.float32)
+    elementary_functions(angle_rad, power, cos, sin, grown)
+    assert np.abs(cos - np.cos(angle_rad)).max() < 2e-7
+    assert np.abs(sin - np.sin(angle_rad)).max() < 2e-7
+    assert np.abs(grown / np.exp(power.astype(float)) - 1).max() < 4e-7
+    elementary_functions(angle_rad[:2], np.array([-1e30, 1e30], np.float32), cos, sin, grown)
+    assert grown[0] < 2e-38
+    assert np.isfinite(grown[1])
 
 
 def table_of(noise=None):
@@ -80,6 +102,28 @@ def test_a_large_group_measures_by_a_grid_what_the_formulas_say(vehicles, change
     scenario, pose = crowded(task, 20, 3)
     pose[0, :, 1] += np.random.default_rng(0).normal(0, 5, vehicles)  # no ties: a search tree takes any
     check_equal(task.measure(scenario, pose), task.measure_compiled(scenario, pose))
+
+
+@pytest.mark.parametrize(
+    ("name", "vehicles", "changes"),
+    [
+        ("formation", 1, {}),
+        ("coverage", 1, {"covered": 0.2}),
+        ("coverage", 200, {"steps": 400}),
+        ("collective", 200, {"reach_mm": 1600, "steps": 400, **LOCAL}),
+    ],
+)
+def test_one_vehicle_and_two_hundred_are_worlds_as_others_are(name, vehicles, changes):
+    side_mm = 1030 * max(1.0, (vehicles / 5) ** 0.5)
+    task = task_named(name, vehicles=vehicles, arena=Arena(x=(0, side_mm), y=(0, side_mm)), **changes)
+    world = World(task, fastest_motion(table_of(), 2, vehicles), 2, seed=1, compiled=True)
+    command = np.random.default_rng(0).uniform(-120, 120, (5, *world.shape))
+    for given in command:
+        step = world.step(given)
+        expected = task.measure(world.scenario, world.pose)
+        assert step.observation == pytest.approx(expected.observation, abs=2e-4)
+        assert step.reward == pytest.approx(expected.reward, abs=1e-3)
+        assert np.array_equal(step.events.collided, expected.events.collided)
 
 
 def check_equal(plain, fast):

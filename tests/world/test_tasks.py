@@ -335,7 +335,7 @@ def test_the_formations_reward_by_hand():
     pose = [(400.0, 500.0, 0.3), (540.0, 500.0, 0.0)]
     scenario = task.beginning(np.array([pose]), np.array([[(500.0, 500.0)]]))
     assert scenario.target[0].tolist() == pytest.approx(np.array([(400, 500), (600, 500)]))
-    assert task.reward(scenario, scenario.start)[0] == pytest.approx([0.5 - 0.5, -0.06 - 0.5])
+    assert task.reward(scenario, scenario.start)[0] == pytest.approx([0.5 - 2.0, -0.06 - 2.0])
     assert task.events(scenario, scenario.start).at_target.tolist() == [[True, False]]
 
 

@@ -65,7 +65,9 @@ def test_infos_are_arrays_with_masks_and_what_has_ended_stands_apart():
         one_world(task, [(place, place, 0.0)], (500.0, 500.0), (500.0, 900.0, 50.0)) for place in (500.0, 250.0)
     )
     both = np.zeros(2, dtype=int)
-    env.world.start(at_target.where(both).replaced(np.array([1]), elsewhere))
+    scenario = at_target.where(both)
+    scenario.put(np.array([1]), elsewhere)
+    env.world.start(scenario)
     _, _, terminated, truncated, infos = env.step(np.zeros((2, 2)))
     assert terminated.tolist() == [True, False]
     assert not truncated.any()

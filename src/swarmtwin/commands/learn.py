@@ -10,7 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from swarmtwin.diagnosis.measured_ranges import measured_ranges
+from swarmtwin.diagnosis.measured_ranges import chosen_randomisation
 from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
@@ -27,7 +27,7 @@ from swarmtwin.policies.training import (
     learn_all,
     task_in,
 )
-from swarmtwin.robot import Robot, Seed, StrictModel
+from swarmtwin.robot import Arena, Robot, Seed, StrictModel
 from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, TableSettings, tabulated
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation_folder import load_simulation
@@ -45,6 +45,7 @@ class Options(StrictModel):
 
     robot: Robot
     task: dict[str, Any]
+    arena_mm: Arena | None
     policy: dict[str, Any]
     simulation: str | None
     evaluate_every: Annotated[int, Field(ge=1)]
@@ -75,10 +76,10 @@ def run(options: Options) -> dict[str, Any]:
     algorithm = algorithm_config(options.policy, "policy")
     task_to_learn = task_config(options.task, "task")
     source, simulation = _simulation(options)
-    task = task_in(simulation, options.robot, task_to_learn, options.sampled)
+    task = task_in(simulation, options.robot, task_to_learn, options.sampled, options.arena_mm)
     torch_device(options.device)
     table = _table_of(simulation, options)
-    randomisation = _randomisation(simulation, options)
+    randomisation = chosen_randomisation(options.randomisation, load_simulation(simulation), options.draws)
     origin = origin_of(source, simulation)
     name = f"{options.robot.name}-{task.config.name}-{algorithm.name}"
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
@@ -93,13 +94,14 @@ def run(options: Options) -> dict[str, Any]:
         tracked_run("policy", name, settings, inputs, options.seed) as tracked,
     ):
         started = time.monotonic()
-        jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS)
-        jobs = [job._replace(randomisation=randomisation) for job in jobs]
+        jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS, randomisation)
         with training_bars(name, algorithm.steps) as report:
             results = learn_all(jobs, _tracking(tracked, report))
         provenance = save_learned(folder, task, jobs[0], results, origin)
         if options.pictures:
             draw_learning(folder, folder)
+            for name in ("history.png", "rollout.mp4"):
+                tracked.picture(folder / name)
         _track(tracked, results, provenance, time.monotonic() - started)
         if table:
             tracked.metrics({"table_position_mm": table.position_mm, "table_heading_deg": table.heading_deg})
@@ -137,21 +139,6 @@ def _table_of(simulation: Path, options: Options) -> TableError | None:
     return dynamics.error if isinstance(dynamics, DisplacementTable) else None
 
 
-def _randomisation(simulation: Path, options: Options) -> Randomisation | None:
-    """Return what is to differ from roll-out to roll-out: as stated, or as a diagnosis measured it.
-
-    Raises:
-        UserError: it cannot in this simulation.
-    """
-    given = options.randomisation
-    if given is None:
-        return None
-    loaded = load_simulation(simulation)
-    if isinstance(given, str):
-        return Randomisation.read(measured_ranges(Path(given), loaded), loaded, options.draws, given)
-    return Randomisation.read(given, loaded, options.draws)
-
-
 def _challenge(options: Options, version: registry.Version, output: Path, task: Task, job: PolicyJob) -> str:
     """Make a policy challenger if it is measurably better, in the simulation that it was learned in; say what was done.
 
@@ -176,7 +163,13 @@ def _challenge(options: Options, version: registry.Version, output: Path, task: 
 
 
 def _jobs(
-    options: Options, task: Task, algorithm: AlgorithmConfig, simulation: Path, digest: str, checkpoints: Path
+    options: Options,
+    task: Task,
+    algorithm: AlgorithmConfig,
+    simulation: Path,
+    digest: str,
+    checkpoints: Path,
+    randomisation: Randomisation | None,
 ) -> list[PolicyJob]:
     schedule = Schedule(
         steps=algorithm.steps,
@@ -199,6 +192,8 @@ def _jobs(
             device=options.device,
             tabulated=options.tabulated,
             table=options.table,
+            randomisation=randomisation,
+            arena=options.arena_mm,
         )
         for seed in range(options.seed, options.seed + options.seeds)
     ]

@@ -18,6 +18,7 @@ from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.studies.rollout_runner import MotionName, roll_out_policy
 from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles
 from swarmtwin.world.rollout import Show
@@ -36,6 +37,8 @@ class Options(StrictModel):
     seed: Seed
     effects: tuple[Any, ...]
     sampled: bool | None
+    randomisation: dict[str, Any] | str | None
+    draws: Annotated[int, Field(ge=1)]
     device: Device
     show: Show
     video: bool
@@ -59,8 +62,11 @@ def run(options: Options) -> dict[str, Any]:
     check_output(options.output, "rollout", options.overwrite, learned)
     name = f"{options.robot.name}-{policy.task.name}"
     given = [model_input(folder, "policy") for folder in learned]
+    if isinstance(options.randomisation, str):
+        given.append(Dataset.of_files(Path(options.randomisation), "diagnosis"))
+    folders = [one.folder for one in given]
     with (
-        new_folder(options.output, "rollout", settings, options.overwrite, inputs=learned) as folder,
+        new_folder(options.output, "rollout", settings, options.overwrite, inputs=folders) as folder,
         tracked_run("transfer", f"rollout {name}", settings, given, options.seed) as tracked,
     ):
         rollouts = roll_out_policy(
@@ -73,6 +79,8 @@ def run(options: Options) -> dict[str, Any]:
             device=options.device,
             vehicles=options.vehicles,
             effects=options.effects,
+            randomisation=options.randomisation,
+            draws=options.draws,
         )
         metrics = metrics_of(rollouts)
         about = {"robot": options.robot.name, "task": policy.task.name}
@@ -80,7 +88,7 @@ def run(options: Options) -> dict[str, Any]:
         draw_rollout(folder, folder)
         figures = tracked_figures(metrics)
         tracked.metrics(figures)
-        tracked.tag("policy.digest", given[0].digest if given else SCRIPTED)
+        tracked.tag("policy.digest", given[0].digest if learned else SCRIPTED)
         tracked.folder(folder, "rollout")
     Console().print(comparison_table(name, rollouts, metrics))
     Console().print(f"figures, pictures, film and viewer: {options.output}", highlight=False, soft_wrap=True)

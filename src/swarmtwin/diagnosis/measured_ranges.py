@@ -1,7 +1,9 @@
-"""What a diagnosis measured on robots as ranges: what was found as a gap is what a policy can be trained against."""
+"""What a diagnosis measured on robots as ranges: what was found as a gap, policies learn and are judged in."""
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,9 +11,31 @@ from swarmtwin.diagnosis.result import Cause
 from swarmtwin.diagnosis.saved_diagnosis import read_result
 from swarmtwin.errors import UserError
 from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
 
 log = logging.getLogger(__name__)
+
+
+def chosen_randomisation(
+    given: Mapping[str, Any] | str | None, simulation: Simulation, draws: int
+) -> Randomisation | None:
+    """Return what is to differ from roll-out to roll-out in a simulation, as an option of a command says it.
+
+    Args:
+        given: mechanisms with ranges of their parameters; or the folder of a diagnosis, whose causes' intervals are
+            taken; or None: nothing differs.
+        simulation: in which it is to differ.
+        draws: how many roll-outs differ at a time, at most.
+
+    Raises:
+        UserError: it cannot differ so in this simulation, or the folder holds no such diagnosis.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str):
+        return Randomisation.read(measured_ranges(Path(given), simulation), simulation, draws, given)
+    return Randomisation.read(given, simulation, draws)
 
 
 def measured_ranges(folder: Path, simulation: Simulation) -> dict[str, dict[str, list[float]]]:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from swarmtwin.dynamics.model_folder import read_description
@@ -11,6 +12,7 @@ from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.files import folder_digest, write_text
 from swarmtwin.policies.policy_folder import PolicyProvenance, SeedOutcome, SimulationOrigin, save_policy
 from swarmtwin.policies.rollout_comparison import plain_figures
+from swarmtwin.policies.rollout_folder import ROLLOUTS
 from swarmtwin.policies.training import (
     PolicyJob,
     SeedResult,
@@ -18,7 +20,8 @@ from swarmtwin.policies.training import (
     policy_of,
     tested,
 )
-from swarmtwin.world.rollout import figures_of
+from swarmtwin.world.rollout import chosen_world, figures_of
+from swarmtwin.world.rollout_storage import save_rollouts
 from swarmtwin.world.task import Task
 
 
@@ -39,7 +42,8 @@ def save_learned(
 ) -> PolicyProvenance:
     """Save the best seed's policy, the evaluations of all seeds and how they learned; return where it comes from.
 
-    `metrics.json` says how good the policy is, with intervals, in scenarios by which nothing was chosen.
+    `metrics.json` says how good the policy is, with intervals, in scenarios by which nothing was chosen; that roll-out
+    of them whose reward is the median stands in `rollouts.npz`, to be shown.
     """
     best = best_of(results)
     outcomes = [SeedOutcome(seed=result.seed, best=result.best, failed=result.failed) for result in results]
@@ -53,8 +57,10 @@ def save_learned(
     )
     policy = policy_of(task, job.algorithm, best)
     save_policy(folder, policy, task.config, task.arena, provenance)
+    rollout = tested(task, job, policy)
+    save_rollouts(folder / ROLLOUTS, {"simulation": rollout.where(np.array([chosen_world(rollout, "typical")]))})
     metrics = {
-        "test": plain_figures(figures_of(tested(task, job, policy))),
+        "test": plain_figures(figures_of(rollout)),
         "evaluation": provenance.evaluation.model_dump(),
         "seeds": {str(outcome.seed): outcome.best.model_dump() if outcome.best else None for outcome in outcomes},
     }

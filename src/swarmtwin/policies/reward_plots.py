@@ -12,15 +12,26 @@ from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.policies.rollout_comparison import MOTION_NAMES
+from swarmtwin.policies.rollout_folder import ROLLOUTS
+from swarmtwin.policies.rollout_plots import draw_film
 from swarmtwin.world.rollout import Rate, Rollout
+from swarmtwin.world.rollout_storage import load_rollouts
 
 COLOURS = {"simulation": PREDICTED, "stand_in": FLOOR}
 
 
 def draw_learning(made: Path, output: Path) -> None:
-    """Draw into `output` how the policy in `made` was learned, from its `history.csv` and `metrics.json`."""
+    """Draw into `output` how the policy in `made` was learned, from its `history.csv` and `metrics.json`, and film it.
+
+    A folder of a version that kept no roll-out gets no film.
+
+    Raises:
+        UserError: its roll-out cannot be read.
+    """
     best = json.loads((made / "metrics.json").read_text())["seeds"]
     history_figure(pd.read_csv(made / "history.csv"), best).savefig(output / "history.png")
+    if (made / ROLLOUTS).exists():
+        draw_film(output / "rollout.mp4", load_rollouts(made / ROLLOUTS), "typical", speed=4.0)
 
 
 def history_figure(history: pd.DataFrame, best: Mapping[str, Mapping[str, Any] | None]) -> Figure:

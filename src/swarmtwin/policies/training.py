@@ -30,7 +30,7 @@ from swarmtwin.policies.checkpoint import (
 from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
-from swarmtwin.robot import Robot, StrictModel
+from swarmtwin.robot import Arena, Robot, StrictModel
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
@@ -104,6 +104,7 @@ class PolicyJob(NamedTuple):
         tabulated: whether a table of the simulation's displacements moves them; None: where it is accurate.
         table: how fine that is.
         randomisation: what differs from roll-out to roll-out; None: nothing.
+        arena: where they drive; None: the arena of the simulation.
     """
 
     robot: Robot
@@ -119,6 +120,7 @@ class PolicyJob(NamedTuple):
     tabulated: bool | None = None
     table: TableSettings = TableSettings()
     randomisation: Randomisation | None = None
+    arena: Arena | None = None
 
     def run(self, report: LearningReport | None) -> SeedResult:
         """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
@@ -131,7 +133,8 @@ class PolicyJob(NamedTuple):
         parts = (self.robot, self.task, self.algorithm, self.schedule, self.table)
         settings = [part.model_dump(mode="json") for part in parts]
         others = [self.digest, self.seed, self.sampled, torch_device(self.device).type, self.tabulated]
-        others.append(self.randomisation.model_dump(mode="json") if self.randomisation else None)
+        for part in (self.randomisation, self.arena):
+            others.append(part.model_dump(mode="json") if part else None)
         return hashlib.sha256(json.dumps([*settings, *others]).encode()).hexdigest()
 
 
@@ -142,7 +145,7 @@ class Learner:
         self.job = job
         simulation = tabulated(load_simulation(job.simulation), job.table, job.tabulated)
         self.simulation = simulation.to(torch_device(job.device))
-        self.task = job.task.build(job.robot, self.simulation.conditions.arena_mm)
+        self.task = job.task.build(job.robot, job.arena or self.simulation.conditions.arena_mm)
         worlds = job.algorithm.worlds
         vehicles = self.task.vehicles
         self.motion = motion_in(self.simulation, worlds, vehicles, job.sampled, job.seed, job.randomisation)
@@ -304,8 +307,10 @@ class _ReportProgress(BaseCallback):
         return True
 
 
-def task_in(simulation: Path, robot: Robot, task: TaskConfig, sampled: bool | None = None) -> Task:
-    """Return a task as it is learned in a simulation, in its arena; checked before anything is started.
+def task_in(
+    simulation: Path, robot: Robot, task: TaskConfig, sampled: bool | None = None, arena: Arena | None = None
+) -> Task:
+    """Return a task as it is learned in a simulation, in its arena or another; checked before anything is started.
 
     Raises:
         UserError: the robot cannot do the task there, the simulation is of another robot, or it cannot be sampled.
@@ -313,7 +318,7 @@ def task_in(simulation: Path, robot: Robot, task: TaskConfig, sampled: bool | No
     loaded = load_simulation(simulation)
     if loaded.robot.name != robot.name:
         raise UserError(f"{simulation} is a model of robot {loaded.robot.name!r}: add robot={loaded.robot.name}")
-    built = task.build(robot, loaded.conditions.arena_mm)
+    built = task.build(robot, arena or loaded.conditions.arena_mm)
     World(built, SimulatedMotion(loaded, 1, built.vehicles, sampled), 1, 0)
     return built
 

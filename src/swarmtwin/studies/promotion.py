@@ -8,10 +8,11 @@ they do on stand-ins from the same starts, each with the champion of its own tas
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
+from swarmtwin.diagnosis.measured_ranges import chosen_randomisation
 from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.dynamics.model_folder import load_evidence, model_name
 from swarmtwin.dynamics.plain_baseline import fit_kinematics
@@ -24,7 +25,7 @@ from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.studies.deployed_trials import deployed_trials
-from swarmtwin.studies.rollout_runner import on_stand_ins, other_vehicles
+from swarmtwin.studies.rollout_runner import in_simulation, on_stand_ins, other_vehicles, simulation_of
 from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import gate, registry
 from swarmtwin.tracking.models import ModelKind
@@ -49,6 +50,9 @@ class PolicyGate(StrictModel):
         other_settings: whether the champion may be one for the same task with other settings, not compared with.
         deployments: folders that `deploy` left, by which policies are judged instead of stand-ins: each by its own.
         fewest_deployments: of the candidate, and of a champion that it is compared with.
+        randomisation: what differs from roll-out to roll-out, mechanisms with ranges or the folder of a diagnosis:
+            policies are judged in the candidate's simulation, randomised so, instead of on stand-ins; None: on these.
+        draws: how many of the roll-outs differ, at most.
     """
 
     vehicles: Vehicles
@@ -60,6 +64,8 @@ class PolicyGate(StrictModel):
     other_settings: bool
     deployments: tuple[Path, ...] | None = None
     fewest_deployments: Annotated[int, Field(ge=1)] = 20
+    randomisation: dict[str, Any] | str | None = None
+    draws: Annotated[int, Field(ge=1)] = 16
 
 
 def promote(
@@ -220,14 +226,17 @@ def _common(first: Recording, second: Recording) -> Recording:
 def judge_policies(
     candidate: registry.Version, champion: registry.Version | None, robot: Robot, asked: PolicyGate
 ) -> gate.PolicyVerdict:
-    """Roll out both on stand-ins from the same starts, or look at how they were deployed, and judge.
+    """Roll out both from the same starts, on stand-ins or in a randomised simulation, or look at deployments; judge.
 
     A champion that was never deployed is not compared with.
 
     Raises:
         RefusedError: the champion's task has other settings.
-        UserError: there are too few roll-outs or deployments.
+        UserError: there are too few roll-outs or deployments, what differs cannot in the candidate's simulation, or
+            policies are to be judged by two things at once.
     """
+    if asked.deployments is not None and asked.randomisation is not None:
+        raise UserError("policies are judged by deployments or in a randomised simulation: leave one of the two out")
     policy = load_policy(candidate.folder(), robot)
     rival = load_policy(champion.folder(), robot) if champion else None
     if rival and rival.task != policy.task:
@@ -239,7 +248,7 @@ def judge_policies(
             )
         rival = None
     if asked.deployments is None:
-        trials = [_trials(one, asked) for one in (policy, rival) if one]
+        trials = _trials([one for one in (policy, rival) if one], asked)
     else:
         trials = _trials_deployed([one for one in (policy, rival) if one], robot, asked)
     return gate.judge_policy(
@@ -280,9 +289,15 @@ def _trials_deployed(policies: Sequence[StoredPolicy], robot: Robot, asked: Poli
     return trials
 
 
-def _trials(policy: StoredPolicy, asked: PolicyGate) -> gate.Trials:
-    task = policy.build_task()
-    vehicles = other_vehicles(asked.vehicles, task)
+def _trials(policies: Sequence[StoredPolicy], asked: PolicyGate) -> list[gate.Trials]:
+    """Return the roll-outs of the candidate, and of the champion, from the same starts and with the same chances."""
+    task = policies[0].build_task()
     scenario = draw_scenarios(task, asked.rollouts, "gate", asked.seed)
-    rollout = on_stand_ins(policy, vehicles, scenario, asked.seed)
-    return gate.Trials(rollout.success, rollout.collided_step != NEVER, rollout.mean_reward)
+    if asked.randomisation is None:
+        what, vehicles = "roll-outs on stand-ins", other_vehicles(asked.vehicles, task)
+        rollouts = [on_stand_ins(policy, vehicles, scenario, asked.seed) for policy in policies]
+    else:
+        what, simulation = "roll-outs in a randomised simulation", simulation_of(policies[0], None, task.robot)
+        differing = chosen_randomisation(asked.randomisation, simulation, asked.draws)
+        rollouts = [in_simulation(one, simulation, scenario, None, asked.seed, differing) for one in policies]
+    return [gate.Trials(one.success, one.collided_step != NEVER, one.mean_reward, what) for one in rollouts]

@@ -1,9 +1,10 @@
 """Policies rolled out from given scenarios: in a simulation, and on stand-ins that are driven live."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
+from swarmtwin.diagnosis.measured_ranges import chosen_randomisation
 from swarmtwin.errors import UserError
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.policies.policy_folder import StoredPolicy
@@ -11,12 +12,14 @@ from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.policies.scripted_policy import ScriptedTask
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.evaluation import load_simulation
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.live import LiveVehicles
 from swarmtwin.standin.session import require_stand_in
 from swarmtwin.tracking import registry
-from swarmtwin.world.motion import SimulatedMotion
+from swarmtwin.world.motion import Motion, SimulatedMotion
+from swarmtwin.world.randomised_motion import RandomisedMotion
 from swarmtwin.world.rollout import Rollout, play
 from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task
@@ -38,6 +41,8 @@ def roll_out_policy(
     device: Device,
     vehicles: Sequence[str] | None,
     effects: Sequence[Any],
+    randomisation: Mapping[str, Any] | str | None = None,
+    draws: int = 16,
 ) -> dict[str, Rollout]:
     """Roll a policy out from the same starts, by each of some motions.
 
@@ -51,17 +56,23 @@ def roll_out_policy(
         device: where the simulation computes.
         vehicles: ids of the stand-ins; None: as `other_vehicles` chooses.
         effects: that the stand-ins are told to play.
+        randomisation: what differs from roll-out to roll-out in the simulation: see `chosen_randomisation`.
+        draws: how many of these differ, at most.
 
     Raises:
-        UserError: see `simulation_of`, `other_vehicles`, `in_simulation` and `on_stand_ins`.
+        UserError: something differs in the simulation, and it is none of the motions; see also `simulation_of`,
+            `chosen_randomisation`, `other_vehicles`, `in_simulation` and `on_stand_ins`.
     """
+    if randomisation is not None and "simulation" not in motions:
+        raise UserError("randomisation=... is of the simulation: add on=[simulation], or leave it out")
     task = policy.build_task()
     scenario = draw_scenarios(task, count, "rollout", seed)
     rollouts: dict[str, Rollout] = {}
     for motion in motions:
         if motion == "simulation":
             moved_by = simulation_of(policy, simulation, policy.robot).to(torch_device(device))
-            rollouts[motion] = in_simulation(policy, moved_by, scenario, sampled, seed)
+            differing = chosen_randomisation(randomisation, moved_by, draws)
+            rollouts[motion] = in_simulation(policy, moved_by, scenario, sampled, seed, differing)
         else:
             rollouts[motion] = on_stand_ins(policy, other_vehicles(vehicles, task), scenario, seed, effects)
     return rollouts
@@ -112,14 +123,21 @@ def in_simulation(
     scenario: Scenario,
     sampled: bool | None = None,
     seed: int = 0,
+    randomisation: Randomisation | None = None,
 ) -> Rollout:
-    """Roll a policy out in a simulation, sampled with a seed or most likely; None: as `SimulatedMotion` chooses.
+    """Roll a policy out in a simulation, sampled with a seed or most likely; None: as its motion chooses.
+
+    With a randomisation roll-outs differ by what is drawn of it.
 
     Raises:
         UserError: the policy gives a command, or the model a displacement, that is not finite.
     """
     task = policy.build_task()
-    motion = SimulatedMotion(simulation, len(scenario), task.vehicles, sampled, seed)
+    motion: Motion
+    if randomisation is None:
+        motion = SimulatedMotion(simulation, len(scenario), task.vehicles, sampled, seed)
+    else:
+        motion = RandomisedMotion(simulation, randomisation, len(scenario), task.vehicles, sampled, seed)
     return play(task, motion, scenario, policy.act)
 
 

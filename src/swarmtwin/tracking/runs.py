@@ -62,6 +62,11 @@ class TrackedRun:
         mlflow.log_figure(figure, f"figures/{name}.png")
 
     @store_errors()
+    def picture(self, file: Path) -> None:
+        """Keep a picture or a film that was drawn, as `figures/<its name>`."""
+        mlflow.log_artifact(str(file), "figures")
+
+    @store_errors()
     def model(self, folder: Path, kind: ModelKind) -> str:
         """Keep a model as an MLflow model; return its URI, `models:/ID`.
 

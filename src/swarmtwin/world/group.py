@@ -1,7 +1,8 @@
 """What all tasks of a group have in common: vehicles that start apart, see each other and must not touch."""
 
 from abc import abstractmethod
-from typing import Annotated
+from functools import cached_property
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -36,12 +37,26 @@ class Group(Task):
         return scenario.target_of_each
 
     @abstractmethod
-    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
-        """Return what each vehicle earns, (W, K), with so many others near it, (W, K)."""
+    def reward_among(self, pose: np.ndarray, near_others: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
+        """Return what each vehicle earns, (W, K).
+
+        Args:
+            pose: (W, K, 3).
+            near_others: (W, K) how many others are near each.
+            target_mm: (W, K) how far each is from the target it seeks; any number where there is none.
+        """
+
+    def is_at_target(self, pose: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
+        """Return whether each vehicle, so far from the target it seeks (W, K), is where it should be, (W, K)."""
+        return np.asarray(target_mm <= self.config.reach_mm)
 
     def reward(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Return what each vehicle earns for being where it is among the others, (W, K)."""
-        return self.reward_among(scenario, pose, self.near_others(pose))
+        return self.reward_among(pose, self.near_others(pose), self.target_distance_mm(scenario, pose))
+
+    def at_target(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+        """Return whether each vehicle is where it should be, (W, K)."""
+        return self.is_at_target(pose, self.target_distance_mm(scenario, pose))
 
     def observe(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Show each vehicle its place, the others, nearest first, and the walls where they count."""
@@ -61,8 +76,20 @@ class Group(Task):
         """Return the same as `measure`, by compiled code."""
         from swarmtwin.world.compiled import group  # numba takes a second to load
 
+        seen = group.look(
+            pose, self.shown_place(scenario, pose), self._numbers, self.shown_others, self.config.sees_walls
+        )
+        reward = self.reward_among(pose, seen.near_others, seen.place_mm).astype(float)
+        events = Events(seen.collided, seen.outside, self.is_at_target(pose, seen.place_mm))
+        return Measured(seen.observation, reward, events, seen.lost)
+
+    @cached_property
+    def _numbers(self) -> Any:
+        """The numbers of the configuration, as compiled code wants them."""
+        from swarmtwin.world.compiled import group
+
         config, arena, scaling = self.config, self.arena, self.config.observation
-        numbers = group.Numbers.of(
+        return group.Numbers.of(
             (*arena.low_mm, *arena.high_mm),
             config.sees_within_mm,
             target=scaling.target_mm,
@@ -75,10 +102,6 @@ class Group(Task):
             outside=config.outside_mm,
             lost=self.lost_mm,
         )
-        seen = group.look(pose, self.shown_place(scenario, pose), numbers, self.shown_others, config.sees_walls)
-        reward = self.reward_among(scenario, pose, seen.near_others)
-        events = Events(seen.collided, seen.outside, self.at_target(scenario, pose))
-        return Measured(seen.observation, reward, events, seen.lost)
 
     def collided(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
         """Two vehicles collide when their centres are nearer than `collision_mm` (the authors' code: 100 mm)."""

@@ -37,7 +37,8 @@ def open_world(
         moved: what moves them; a motion is of `worlds` and of the task's vehicles.
         worlds: how many there are side by side, W.
         seed: of the scenarios, and of what a simulation draws.
-        compiled: take compiled code where there is some, which pays for many worlds: numba takes a second to load.
+        compiled: take compiled code where there is some, the same to rounding, and what is drawn likewise; it pays for
+            many worlds: numba takes a second to load.
         table: of the displacements of a simulation, by which vehicles move instead; None: the simulation moves them.
 
     Raises:
@@ -99,13 +100,3 @@ def vehicle_info(step: Step, vehicle: int) -> dict[str, Any]:
         "at_target": bool(step.events.at_target[0, vehicle]),
         "reached": bool(step.reached[0]),
     }
-
-
-def check_render_mode(render_mode: str | None, render_modes: list[str]) -> None:
-    """Check that a render mode is None, for no pictures, or one of those that there are.
-
-    Raises:
-        UserError: it is not.
-    """
-    if render_mode is not None and render_mode not in render_modes:
-        raise UserError(f"no such render mode: {render_mode!r}: {near_miss(render_mode, render_modes)}")

@@ -8,7 +8,6 @@ from pettingzoo import ParallelEnv
 
 from swarmtwin.world.interface import (
     Moved,
-    check_render_mode,
     command_space,
     commands_of,
     observation_space,
@@ -49,21 +48,15 @@ class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     render_mode: str | None
 
     def __init__(self, world: World, render_mode: str | None) -> None:
-        render_modes = ["rgb_array"]
-        check_render_mode(render_mode, render_modes)
-        self.metadata = {
-            "name": f"swarmtwin_{world.task.config.name}",
-            "render_modes": render_modes,
-            "render_fps": 1.0 / world.robot.period_s,
-            "is_parallelizable": True,
-        }
+        self._live = LiveFrame(world, render_mode)
+        name = f"swarmtwin_{world.task.config.name}"
+        self.metadata = {"name": name, "is_parallelizable": True, **self._live.metadata}
         self.render_mode = render_mode
         self.world = world
         self.possible_agents = [f"vehicle_{index}" for index in range(world.task.vehicles)]
         self.agents = list(self.possible_agents)
         self.observation_spaces = {agent: observation_space(world.task) for agent in self.possible_agents}
         self.action_spaces = {agent: command_space(world.robot) for agent in self.possible_agents}
-        self._live = LiveFrame(world)
 
     def observation_space(self, agent: str) -> Box:
         """Return the space of an agent's observations."""
@@ -109,7 +102,7 @@ class SwarmEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """Return a picture (height, width, 3) of the world now, where the render mode asks for one."""
-        return None if self.render_mode is None else self._live.picture()
+        return self._live.picture()
 
     def close(self) -> None:
         """Nothing is held open."""

@@ -42,6 +42,8 @@ class Scenario:
     @property
     def target(self) -> np.ndarray:
         """The targets sought now, (W, 2), or (W, K, 2) where each vehicle has its own."""
+        if self.targets.shape[1] == 1:
+            return self.targets[:, 0]
         target: np.ndarray = self.targets[np.arange(len(self)), self.leg]
         return target
 
@@ -60,15 +62,14 @@ class Scenario:
         """Return some worlds: indices (n,) or a mask (W,)."""
         return Scenario(**{field.name: getattr(self, field.name)[worlds] for field in fields(self)})
 
-    def replaced(self, worlds: np.ndarray, other: "Scenario") -> "Scenario":
-        """Return this scenario with the worlds at indices (n,) taken from the n worlds of `other`."""
+    def copy(self) -> "Scenario":
+        """Return the same scenario with arrays of its own."""
+        return Scenario(**{field.name: getattr(self, field.name).copy() for field in fields(self)})
 
-        def mixed(mine: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-            mine = mine.copy()
-            mine[worlds] = theirs
-            return mine
-
-        return Scenario(**{f.name: mixed(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)})
+    def put(self, worlds: np.ndarray, other: "Scenario") -> None:
+        """Write the n worlds of another scenario over those at indices (n,)."""
+        for field in fields(self):
+            getattr(self, field.name)[worlds] = getattr(other, field.name)
 
     def advanced(self, worlds: np.ndarray) -> "Scenario":
         """Return this scenario with the worlds of a mask (W,) seeking their next target, where there is one."""

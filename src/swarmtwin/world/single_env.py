@@ -8,7 +8,6 @@ import numpy as np
 from swarmtwin.errors import UserError
 from swarmtwin.world.interface import (
     Moved,
-    check_render_mode,
     command_space,
     commands_of,
     observation_space,
@@ -45,14 +44,12 @@ class VehicleEnv(gymnasium.Env[np.ndarray, np.ndarray]):
                 f"task {world.task.config.name!r} is for {world.task.vehicles} vehicles, a gymnasium environment for "
                 "one: use parallel_env of swarmtwin.world.parallel_env, or vector_env of swarmtwin.world.vector_env"
             )
-        render_modes = ["rgb_array"]
-        check_render_mode(render_mode, render_modes)
-        self.metadata = {"render_modes": render_modes, "render_fps": 1.0 / world.robot.period_s}
+        self._live = LiveFrame(world, render_mode)
+        self.metadata = self._live.metadata
         self.render_mode = render_mode
         self.world = world
         self.observation_space = observation_space(world.task)
         self.action_space = command_space(world.robot)
-        self._live = LiveFrame(world)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -83,4 +80,4 @@ class VehicleEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """Return a picture (height, width, 3) of the world now, where the render mode asks for one."""
-        return None if self.render_mode is None else self._live.picture()
+        return self._live.picture()

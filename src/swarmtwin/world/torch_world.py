@@ -44,19 +44,11 @@ def torch_world(
 ) -> "TorchWorld":
     """Return the W worlds of a task, whose vehicles are moved by `motion`.
 
-    Args:
-        task: what the vehicles are asked to do, or the name of a file in `conf/task/`.
-        motion: what moves them, of as many worlds; or a simulation; or a model's folder, as train or a diagnosis leaves
-            it.
-        worlds: how many there are side by side, W.
-        seed: of the scenarios.
-        device: where the tensors lie that are returned; the simulation computes wherever it lies itself.
-        compiled: take compiled code where there is some: the same to rounding, and what is drawn likewise.
-        table: of a simulation's displacements, by which vehicles move instead, for less time; None: the simulation.
+    The arguments are those of `open_world`; here compiled code is taken unless asked not. `device` says where the
+    tensors lie that are returned; the simulation computes wherever it lies itself.
 
     Raises:
-        UserError: there is no such task or model, or the motion is of another robot, or of other worlds; or the
-            simulation cannot be tabulated, or not well enough.
+        UserError: see `open_world`.
     """
     return TorchWorld(open_world(task, motion, worlds, seed, compiled, table), device)
 

@@ -63,8 +63,8 @@ class World:
         robot: whose vehicles they are.
         motion: what moves them.
         worlds: how many there are side by side, W.
-        scenario: what is asked now, with the targets that are sought now.
-        pose: (W, K, 3) as measured last.
+        scenario: what is asked now, with the targets that are sought now; `restart` writes into its arrays.
+        pose: (W, K, 3) as measured last; `restart` writes into it.
         step_count: (W,) periods since the start.
         ended: (W,) whether the roll-out is over.
         reached: (W,) whether all targets have been reached.
@@ -123,7 +123,7 @@ class World:
             raise ValueError(
                 f"a scenario of starts {scenario.start.shape} for {self.worlds} × {self.task.vehicles} vehicles"
             )
-        self.scenario = scenario.from_first_leg()
+        self.scenario = scenario.from_first_leg().copy()
         self.pose = self.motion.place(np.arange(self.worlds), scenario.start)
         self.past_commands = PastCommands(self.robot, self.task.config.sees_commands, self.worlds, self.task.vehicles)
         self.step_count = np.zeros(self.worlds, dtype=int)
@@ -140,8 +140,7 @@ class World:
         rows = np.flatnonzero(worlds)
         if len(rows):
             drawn = self._supply.take(len(rows))
-            self.scenario = self.scenario.replaced(rows, drawn)
-            self.pose = self.pose.copy()
+            self.scenario.put(rows, drawn)
             self.pose[rows] = self.motion.place(rows, drawn.start)
             self.past_commands.forget(rows)
             for counter in (self.step_count, self.ended, self.reached, self._held_steps):

@@ -7,6 +7,7 @@ import numpy as np
 
 from swarmtwin.compiled import compiled
 from swarmtwin.world.compiled import lanes
+from swarmtwin.world.compiled.elementary import exponential
 
 
 class Numbers(NamedTuple):
@@ -38,7 +39,8 @@ class Seen(NamedTuple):
 
     Attributes:
         observation: (W, K, o) float32.
-        near_others: (W, K) how many others are near.
+        near_others: (W, K) how many others are near, float32.
+        place_mm: (W, K) how far the place is that a vehicle is shown, float32.
         collided: (W, K) whether another one is too near.
         outside: (W, K) whether a vehicle is outside the arena.
         lost: (W,) whether one is too far outside to go on.
@@ -46,6 +48,7 @@ class Seen(NamedTuple):
 
     observation: np.ndarray
     near_others: np.ndarray
+    place_mm: np.ndarray
     collided: np.ndarray
     outside: np.ndarray
     lost: np.ndarray
@@ -67,14 +70,16 @@ def look(
     shape = pose.shape[:2]
     observation = np.empty((*shape, 5 + 5 * shown + 8 * sees_walls), np.float32)
     flags = np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape[0], bool)
-    seen = Seen(observation, np.zeros(shape, np.int64), *flags)
+    seen = Seen(observation, np.empty(shape, np.float32), np.empty(shape, np.float32), *flags)
     kernel: Any = _compare_all if shape[1] <= all_pairs_up_to else _look_about
     kernel(np.ascontiguousarray(pose), np.ascontiguousarray(place), numbers, shown, sees_walls, *seen)
     return seen
 
 
 @compiled
-def _compare_all(pose, place, mm, shown, sees_walls, observation, near_others, collided, outside, lost, width=64):  # type: ignore[no-untyped-def]
+def _compare_all(  # type: ignore[no-untyped-def]
+    pose, place, mm, shown, sees_walls, observation, near_others, place_mm, collided, outside, lost, width=64
+):
     """Write what W worlds of K vehicles measure, all compared with all, `width` worlds at a time."""
     worlds, vehicles = pose.shape[:2]
     shape, number = (vehicles, width), np.float32
@@ -82,7 +87,7 @@ def _compare_all(pose, place, mm, shown, sees_walls, observation, near_others, c
     distance, close = np.full((vehicles, *shape), 1e30, number), np.empty((vehicles, *shape), number)
     place_x, place_y = np.zeros((1, width), number), np.zeros((1, width), number)
     forward, left, third = np.empty(width, number), np.empty(width, number), np.empty(width, number)
-    fourth, fifth = np.empty(width, number), np.empty(width, number)
+    fourth, fifth, away = np.empty(width, number), np.empty(width, number), np.empty(width, number)
     near, hit, column = np.empty(shape, np.int32), np.empty(shape, np.int32), np.empty(width, np.int32)
     are_all_shown = shown == vehicles - 1 and mm.within >= 1e30
     for first in range(0, worlds, width):
@@ -97,11 +102,12 @@ def _compare_all(pose, place, mm, shown, sees_walls, observation, near_others, c
                 place_x[0, lane] = place[first + lane, own % place.shape[1], 0]
                 place_y[0, lane] = place[first + lane, own % place.shape[1], 1]
             lanes.see(x, y, cos, sin, own, place_x, place_y, 0, forward, left)
-            lanes.show_target(forward, left, third, fourth, fifth, mm.target)
+            lanes.show_place(forward, left, third, fourth, fifth, away, mm.target)
             for lane in range(count):
                 world = first + lane
                 _write(observation[world, own], 0, forward[lane], left[lane], third[lane], fourth[lane], fifth[lane])
                 near_others[world, own] = near[own, lane]
+                place_mm[world, own] = away[lane]
                 collided[world, own] = hit[own, lane] > 0
                 outside[world, own] = lanes.is_outside(x[own, lane], y[own, lane], mm.arena, mm.outside)
                 lost[world] |= lanes.is_outside(x[own, lane], y[own, lane], mm.arena, mm.lost)
@@ -148,7 +154,7 @@ def _compare(x, y, own, other, mm, distance, close, near, hit):  # type: ignore[
         hit[own, lane] |= collide
         hit[other, lane] |= collide
     for lane in range(width):
-        closeness = math.exp((mm.collision - distance[own, other, lane]) / mm.closeness)
+        closeness = exponential((mm.collision - distance[own, other, lane]) / mm.closeness)
         close[own, other, lane] = closeness
         close[other, own, lane] = closeness
 
@@ -168,14 +174,14 @@ def _find_column(distance, own, other, column):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _look_about(pose, place, mm, shown, sees_walls, observation, near_others, collided, outside, lost):  # type: ignore[no-untyped-def]
+def _look_about(pose, place, mm, shown, sees_walls, observation, near_others, place_mm, collided, outside, lost):  # type: ignore[no-untyped-def]
     """Write the same of large groups: each vehicle looks for others in a grid, in one ring of cells after the other."""
     worlds, vehicles = pose.shape[:2]
     shape, number = (vehicles, 1), np.float32
     x, y, cos, sin = np.empty(shape, number), np.empty(shape, number), np.empty(shape, number), np.empty(shape, number)
     place_x, place_y = np.empty((1, 1), number), np.empty((1, 1), number)
     forward, left, third = np.empty(1, number), np.empty(1, number), np.empty(1, number)
-    fourth, fifth = np.empty(1, number), np.empty(1, number)
+    fourth, fifth, away = np.empty(1, number), np.empty(1, number), np.empty(1, number)
     kept, reach_mm = min(shown, vehicles - 1), max(mm.neighbour_near, mm.collision)
     found, found_mm = np.empty(kept + 1, np.int64), np.empty(kept + 1, number)
     low_x, low_y, high_x, high_y = mm.arena
@@ -220,7 +226,8 @@ def _look_about(pose, place, mm, shown, sees_walls, observation, near_others, co
             place_x[0, 0] = place[world, own % place.shape[1], 0]
             place_y[0, 0] = place[world, own % place.shape[1], 1]
             lanes.see(x, y, cos, sin, own, place_x, place_y, 0, forward, left)
-            lanes.show_target(forward, left, third, fourth, fifth, mm.target)
+            lanes.show_place(forward, left, third, fourth, fifth, away, mm.target)
+            place_mm[world, own] = away[0]
             _write(row, 0, forward[0], left[0], third[0], fourth[0], fifth[0])
             for rank in range(there):
                 other, away_mm = found[rank], found_mm[rank]
@@ -228,7 +235,7 @@ def _look_about(pose, place, mm, shown, sees_walls, observation, near_others, co
                 lanes.see(x, y, cos, sin, own, x, y, other, forward, left)
                 relative_cos = cos[other, 0] * cos[own, 0] + sin[other, 0] * sin[own, 0]
                 relative_sin = sin[other, 0] * cos[own, 0] - cos[other, 0] * sin[own, 0]
-                closeness = math.exp((mm.collision - away_mm) / mm.closeness)
+                closeness = exponential((mm.collision - away_mm) / mm.closeness)
                 _write(
                     row, 5 + 5 * rank, forward[0] * drawn_in, left[0] * drawn_in, closeness, relative_cos, relative_sin
                 )

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from swarmtwin.compiled import compiled
+from swarmtwin.world.compiled.elementary import cos_and_sin, exponential
 
 
 @compiled
@@ -18,9 +19,8 @@ def load(pose, first, count, x, y, cos, sin):  # type: ignore[no-untyped-def]
         for lane in range(count):
             x[vehicle, lane] = pose[first + lane, vehicle, 0]
             y[vehicle, lane] = pose[first + lane, vehicle, 1]
-            heading_rad = np.float32(pose[first + lane, vehicle, 2])
-            cos[vehicle, lane] = math.cos(heading_rad)
-            sin[vehicle, lane] = math.sin(heading_rad)
+        for lane in range(count):
+            cos[vehicle, lane], sin[vehicle, lane] = cos_and_sin(pose[first + lane, vehicle, 2])
 
 
 @compiled
@@ -33,15 +33,16 @@ def see(x, y, cos, sin, own, other_x, other_y, other, forward, left):  # type: i
 
 
 @compiled
-def show_target(forward, left, direction_forward, direction_left, distance, target_mm):  # type: ignore[no-untyped-def]
-    """Make of where targets are seen what is observed of them: five numbers of order 1."""
+def show_place(forward, left, direction_forward, direction_left, scaled, distance_mm, target_mm):  # type: ignore[no-untyped-def]
+    """Make of where places are seen what is observed of them, five numbers of order 1, and how far they are in mm."""
     for lane in range(len(forward)):
-        distance_mm = math.sqrt(forward[lane] * forward[lane] + left[lane] * left[lane])
-        direction_forward[lane] = forward[lane] / max(distance_mm, np.float32(1e-6))
-        direction_left[lane] = left[lane] / max(distance_mm, np.float32(1e-6))
+        away_mm = math.sqrt(forward[lane] * forward[lane] + left[lane] * left[lane])
+        direction_forward[lane] = forward[lane] / max(away_mm, np.float32(1e-6))
+        direction_left[lane] = left[lane] / max(away_mm, np.float32(1e-6))
         forward[lane] /= target_mm
         left[lane] /= target_mm
-        distance[lane] = distance_mm / target_mm
+        scaled[lane] = away_mm / target_mm
+        distance_mm[lane] = away_mm
 
 
 @compiled
@@ -64,7 +65,7 @@ def write_walls(observation, first, column, x, y, cos, sin, own, arena, wall_clo
         for direction in range(8):
             along_x = (high_x - at_x if ahead_x > 0 else at_x - low_x) / max(abs(ahead_x), least)
             along_y = (high_y - at_y if ahead_y > 0 else at_y - low_y) / max(abs(ahead_y), least)
-            closeness = math.exp(-min(along_x, along_y) / wall_closeness_mm)
+            closeness = exponential(-min(along_x, along_y) / wall_closeness_mm)
             observation[first + lane, own, column + direction] = closeness
             ahead_x, ahead_y = diagonal * (ahead_x - ahead_y), diagonal * (ahead_x + ahead_y)
 

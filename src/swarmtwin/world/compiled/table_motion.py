@@ -8,6 +8,7 @@ import numpy as np
 from swarmtwin.compiled import compiled
 from swarmtwin.simulation.displacement_table import DisplacementTable
 from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.world.compiled.elementary import cos_and_sin
 from swarmtwin.world.motion import Motion, check_can_be_sampled
 
 
@@ -44,7 +45,7 @@ class TableMotion(Motion):
         table = simulation.dynamics.table.cpu().numpy()
         self._table, self._points = np.ascontiguousarray(table.reshape(-1, 3)), table.shape[0]
         low, high = self.robot.command_low, self.robot.command_high
-        self._low, self._per_unit = low, (self._points - 1) / (high - low)
+        self._low, self._per_unit = tuple(_float32(low)), tuple(_float32((self._points - 1) / (high - low)))
         noise = simulation.motion_noise
         self._spread = _float32([noise.at_rest, noise.with_motion]) if noise else np.zeros((2, 3), np.float32)
         self._usual = _float32([noise.usual_mm, noise.usual_rad]) if noise else np.ones(2, np.float32)
@@ -112,45 +113,54 @@ def _float32(values: object) -> np.ndarray:
 def _move(table, points, low, per_unit, spread, usual, command, drawn, pose, moved, width=64):  # type: ignore[no-untyped-def]
     """Write where N vehicles at poses (N, 3) get by commands (N, m), `width` at a time; at random if there is `drawn`.
 
-    The table holds displacements of commands on a grid, (points^m, 3), linear between. `drawn` is (N, 3) of normal
-    numbers, or empty; `spread` (2, 3) the variance of a twist at rest and its growth with the motion: `MotionNoise`.
+    The table holds displacements of commands on a grid, (points^m, 3), linear between; `low` and `per_unit` are tuples
+    of m, whose length the compiler knows. `drawn` is (N, 3) of normal numbers, or empty; `spread` (2, 3) the variance
+    of a twist at rest and its growth with the motion: `MotionNoise`.
     """
-    columns, last = command.shape[1], np.float32(points - 1)
-    forward, left, turn = np.empty(width, np.float32), np.empty(width, np.float32), np.empty(width, np.float32)
-    below, share = np.empty((columns, width), np.int32), np.empty((columns, width), np.float32)
-    cell, weight = np.empty(width, np.int32), np.empty(width, np.float32)
+    forward, left, turn = np.zeros(width, np.float32), np.zeros(width, np.float32), np.zeros(width, np.float32)
+    below, share = np.empty((len(low), width), np.int32), np.empty((len(low), width), np.float32)
+    cos, sin, after_rad = np.empty(width, np.float32), np.empty(width, np.float32), np.zeros(width)
     for first in range(0, len(command), width):
         count = min(width, len(command) - first)
-        for column in range(columns):
-            least, scale = np.float32(low[column]), np.float32(per_unit[column])
+        for column in range(len(low)):
             for lane in range(count):
-                place = (np.float32(command[first + lane, column]) - least) * scale
-                place = min(max(place, np.float32(0.0)), last)
+                place = (np.float32(command[first + lane, column]) - low[column]) * per_unit[column]
+                place = min(max(place, np.float32(0.0)), np.float32(points - 1))
                 below[column, lane] = min(np.int32(place), np.int32(points - 2))
                 share[column, lane] = place - np.float32(below[column, lane])
-        forward[:], left[:], turn[:] = 0, 0, 0
-        for corner in range(1 << columns):
-            cell[:], weight[:] = 0, 1
-            for column in range(columns):
-                above = np.int32((corner >> column) & 1)
-                for lane in range(count):
-                    weight[lane] *= share[column, lane] if above else np.float32(1.0) - share[column, lane]
-                    cell[lane] = cell[lane] * np.int32(points) + below[column, lane] + above
+        for lane in range(count):
+            forward[lane], left[lane], turn[lane] = _between(table, points, low, below, share, lane)
+        if len(drawn):
             for lane in range(count):
-                forward[lane] += weight[lane] * table[cell[lane], 0]
-                left[lane] += weight[lane] * table[cell[lane], 1]
-                turn[lane] += weight[lane] * table[cell[lane], 2]
+                varied = _varied(forward[lane], left[lane], turn[lane], spread, usual, drawn[first + lane])
+                forward[lane], left[lane], turn[lane] = varied
+        for lane in range(count):
+            after_rad[lane] = pose[first + lane, 2]
+        for lane in range(width):
+            cos[lane], sin[lane] = cos_and_sin(after_rad[lane])
+            after_rad[lane] += turn[lane]
+            after_rad[lane] -= 2 * math.pi * math.floor((after_rad[lane] + math.pi) / (2 * math.pi))
         for lane in range(count):
             vehicle = first + lane
-            if len(drawn):
-                varied = _varied(forward[lane], left[lane], turn[lane], spread, usual, drawn[vehicle])
-                forward[lane], left[lane], turn[lane] = varied
-            heading_rad = np.float32(pose[vehicle, 2])
-            cos, sin = math.cos(heading_rad), math.sin(heading_rad)
-            moved[vehicle, 0] = pose[vehicle, 0] + cos * forward[lane] - sin * left[lane]
-            moved[vehicle, 1] = pose[vehicle, 1] + sin * forward[lane] + cos * left[lane]
-            after_rad = pose[vehicle, 2] + turn[lane]
-            moved[vehicle, 2] = after_rad - 2 * math.pi * math.floor((after_rad + math.pi) / (2 * math.pi))
+            moved[vehicle, 0] = pose[vehicle, 0] + cos[lane] * forward[lane] - sin[lane] * left[lane]
+            moved[vehicle, 1] = pose[vehicle, 1] + sin[lane] * forward[lane] + cos[lane] * left[lane]
+            moved[vehicle, 2] = after_rad[lane]
+
+
+@compiled
+def _between(table, points, low, below, share, lane):  # type: ignore[no-untyped-def]
+    """Return the displacement of a lane's command, between those of the corners of its cell of the grid."""
+    forward, left, turn = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for corner in range(1 << len(low)):
+        cell, weight = np.int32(0), np.float32(1.0)
+        for column in range(len(low)):
+            above = np.int32((corner >> column) & 1)
+            weight *= share[column, lane] if above else np.float32(1.0) - share[column, lane]
+            cell = cell * np.int32(points) + below[column, lane] + above
+        forward += weight * table[cell, 0]
+        left += weight * table[cell, 1]
+        turn += weight * table[cell, 2]
+    return forward, left, turn
 
 
 @compiled

@@ -34,13 +34,12 @@ class Collective(Group):
         around_target[:, 0, :2] = targets[:, 0]
         return Scenario.beginning(self.draw_starts(rng, around_target), targets)
 
-    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
+    def reward_among(self, pose: np.ndarray, near_others: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
         """Return equation (3): what the target gives, or the distance from it, and what each near neighbour costs.
 
         r = r_target − 5 · (neighbours nearer than `neighbour_near_mm`), where r_target is −5 within `target_near_mm` of
         the target and −20 · d / d_max at a distance d further away.
         """
-        target_mm = self.target_distance_mm(scenario, pose)
         near_target = target_mm < self.config.target_near_mm
         target_reward = np.where(near_target, -5.0, -20.0 * target_mm / self.config.d_max_mm)
         return target_reward - 5.0 * near_others

@@ -53,7 +53,7 @@ class Coverage(Group):
         """Return the middle of each vehicle's own ground."""
         return self.middle_of_own_ground(pose)
 
-    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
+    def reward_among(self, pose: np.ndarray, near_others: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
         """Penalise how far the ground is from the vehicle nearest to it, the same for all, and near neighbours.
 
         r = −(mean over the ground of the distance to the nearest vehicle) / d_max − near_penalty · (neighbours nearer
@@ -63,7 +63,7 @@ class Coverage(Group):
         shared = -distance_mm.mean(axis=1, keepdims=True) / self.config.d_max_mm
         return shared - self.config.near_penalty * near_others
 
-    def at_target(self, scenario: Scenario, pose: np.ndarray) -> np.ndarray:
+    def is_at_target(self, pose: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
         """All vehicles are where they should be as soon as enough is covered."""
         enough = self.covered_share(pose) >= self.config.covered
         return np.repeat(enough[:, None], pose.shape[1], axis=1)

@@ -47,16 +47,15 @@ class Formation(Group):
         assigned = _assigned(start[..., :2], places[:, 0])
         return Scenario.beginning(start, assigned[:, None], obstacles)
 
-    def reward_among(self, scenario: Scenario, pose: np.ndarray, near_others: np.ndarray) -> np.ndarray:
+    def reward_among(self, pose: np.ndarray, near_others: np.ndarray, target_mm: np.ndarray) -> np.ndarray:
         """Reward being in place, penalise the distance from it and near neighbours.
 
         r = reach_reward within `reach_mm` of the own place − d / d_max − near_penalty · (neighbours nearer than
         `neighbour_near_mm`).
         """
-        distance_mm = self.target_distance_mm(scenario, pose)
         return (
-            self.config.reach_reward * (distance_mm <= self.config.reach_mm)
-            - distance_mm / self.config.d_max_mm
+            self.config.reach_reward * (target_mm <= self.config.reach_mm)
+            - target_mm / self.config.d_max_mm
             - self.config.near_penalty * near_others
         )
 
