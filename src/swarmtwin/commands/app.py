@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from enum import IntEnum
 from pathlib import Path
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Any, NoReturn, cast
 
 import hydra
@@ -36,6 +36,7 @@ from swarmtwin.commands.sweep_mistakes import check_sweep
 from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
 from swarmtwin.configuration import config_folder, let_hydra_find_plugins
 from swarmtwin.errors import RefusedError, UserError
+from swarmtwin.extras import require_extra
 
 
 class Status(IntEnum):
@@ -191,7 +192,7 @@ def _task(name: str, module_name: str, failures: list[Exception], rows: Path) ->
             from swarmtwin.commands.inputs import check_inputs  # not for --help, which it would make wait
 
             check_inputs(name, cast(dict[str, Any], content))
-            module = importlib.import_module(module_name)
+            module = _imported(name, module_name)
             if run.mode == RunMode.RUN:
                 answer_interrupts(_interrupt)  # until here nothing has begun
             headline = module.run(module.Options.parse(content, "options"))
@@ -207,6 +208,19 @@ def _task(name: str, module_name: str, failures: list[Exception], rows: Path) ->
         return headline
 
     return task
+
+
+def _imported(name: str, module_name: str) -> ModuleType:
+    """Import what runs a command.
+
+    Raises:
+        UserError: packages of the command's extra are not installed.
+    """
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError:
+        require_extra(COMMANDS[name].extra, f"{name} needs more than is installed")
+        raise
 
 
 def _report(name: str, message: str, status: Status) -> Status:

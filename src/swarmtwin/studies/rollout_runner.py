@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 from swarmtwin.errors import UserError
+from swarmtwin.files import folder_digest
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.policies.policy_folder import StoredPolicy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
@@ -15,7 +16,7 @@ from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.live import LiveVehicles
 from swarmtwin.standin.session import require_stand_in
-from swarmtwin.tracking import registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.world.motion import SimulatedMotion
 from swarmtwin.world.rollout import Rollout, play
 from swarmtwin.world.scenario import Scenario
@@ -91,17 +92,17 @@ def simulation_of(policy: StoredPolicy | ScriptedTask, chosen: str | None, robot
         UserError: there is none, or it is of another robot.
     """
     if isinstance(policy, ScriptedTask):
-        return load_simulation(registry.model_folder(chosen or str(policy.simulation)), robot)[0]
+        return load_simulation(model_folder(chosen or str(policy.simulation)), robot)[0]
     learned_in = policy.provenance.simulation
     reference = chosen or learned_in.source
     try:
-        folder = registry.model_folder(reference)
+        folder = model_folder(reference)
     except UserError as error:
         if chosen:
             raise
         raise UserError(f"the simulation that {policy.folder} was learned in: {error}; or add simulation=...") from None
     simulation, _ = load_simulation(folder, robot)
-    if chosen is None and registry.folder_digest(folder) != learned_in.digest:
+    if chosen is None and folder_digest(folder) != learned_in.digest:
         log.warning("%s is no longer the model that %s was learned in", reference, policy.folder)
     return simulation
 

@@ -21,7 +21,7 @@ from mlflow.utils.mlflow_tags import MLFLOW_MODEL_VERSIONS
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking.datasets import files_digest
-from swarmtwin.tracking.model_reference import ModelReference, named_folder
+from swarmtwin.tracking.model_reference import ModelReference
 from swarmtwin.tracking.models import model_data
 from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
@@ -206,19 +206,6 @@ def check_task(version: Version, task: str | None) -> None:
     if _holder(known, "champion", task) is None:
         remedy = f"no policy for {task!r} is champion yet"
     raise UserError(f"{version} is for task {version.task!r}, not for {task!r}: {remedy}")
-
-
-def model_folder(reference: str, task: str | None = None) -> Path:
-    """Return the folder of a model given as a folder, `models:/NAME@ALIAS` or `models:/NAME/VERSION`.
-
-    Args:
-        reference: to the model.
-        task: what a registered policy must be for; None: whatever it is for.
-
-    Raises:
-        UserError: there is no such folder, name, alias or version, or it is for another task.
-    """
-    return named_folder(reference) or find_version(reference, task).folder()
 
 
 def challenge(version: Version, compare: Callable[[Version], tuple[bool, str]]) -> str:
