@@ -127,7 +127,7 @@ def test_a_policy_drives_emulated_robots_without_anything_that_trains(swarmtwin,
         fleet.terminate()
         fleet.communicate(timeout=30)
     assert status == 0, error
-    assert "not tracked: MLflow keeps runs: mlflow, sqlalchemy is not installed here" in error
+    assert "not tracked: MLflow needs what is not installed here, mlflow, sqlalchemy" in error
     drive = robots_computer / "first-drive"
     assert {"recording.yaml", "metrics.json", "rollouts.npz"} <= {file.name for file in drive.iterdir()}
     assert len((drive / "runs" / "run_001.csv").read_text().splitlines()) > 5 * 20

@@ -44,7 +44,7 @@ def require_extra(extra: Extra, what: str) -> None:
 
     Args:
         extra: which.
-        what: that needs them, as a message's first words.
+        what: needs them, in a message.
 
     Raises:
         UserError: one is not.
@@ -52,7 +52,7 @@ def require_extra(extra: Extra, what: str) -> None:
     absent = sorted(name for name, found in missing_packages(extra).items() if found is None)
     if absent:
         named = ", ".join([*absent[:3], *(["..."] if absent[3:] else [])])
-        raise UserError(f"{what}: {named} is not installed here: {install_command(extra)}")
+        raise UserError(f"{what} needs what is not installed here, {named}: {install_command(extra)}")
 
 
 def install_command(extra: Extra) -> str:

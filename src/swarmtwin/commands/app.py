@@ -138,8 +138,10 @@ def _spelled_out(name: str, arguments: list[str]) -> list[str]:
     """Turn policy=FOLDER and task=NAME into policy.folder= and task.name=: Hydra would look for them in conf/policy/.
 
     So it is where a policy is asked for that was learned, and for which task it was: not where one is to be learned.
-    Likewise broker=ADDRESS.
+    Likewise broker=ADDRESS; and `new NAME` is `new output=NAME`.
     """
+    if name == "new" and arguments and re.fullmatch(r"[\w./~][\w./~-]*", arguments[0]):
+        return [f"output={arguments[0]}", *arguments[1:]]
     if name not in ("rollout", "promote", "deploy", "collect", "fleet"):
         return arguments
     spelled = {"policy": "policy.folder", "task": "task.name", "broker": "broker.address"}
@@ -219,7 +221,7 @@ def _imported(name: str, module_name: str) -> ModuleType:
     try:
         return importlib.import_module(module_name)
     except ModuleNotFoundError:
-        require_extra(COMMANDS[name].extra, f"{name} needs more than is installed")
+        require_extra(COMMANDS[name].extra, name)
         raise
 
 

@@ -29,6 +29,7 @@ class Command(NamedTuple):
 
 
 COMMANDS = {
+    "new": Command("new", "a lab's own project: a robot's file, a first recording, a pipeline"),
     "doctor": Command("doctor", "what this machine has and lacks, and what to do about it", extra="base"),
     "record": Command("record", "stand-in robots drive; a recording results", extra="deploy"),
     "import": Command("import_recording", "foreign data become a recording", extra="base"),

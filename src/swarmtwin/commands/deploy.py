@@ -183,7 +183,7 @@ def _track(options: Options, folder: Path, policy: Path, name: str, metrics: dic
     """Keep the run; the recording must not be lost where MLflow is not installed, or its store cannot be used."""
     settings = options.model_dump(mode="json")
     try:
-        require_extra("tracking", "MLflow keeps runs")
+        require_extra("tracking", "MLflow")
         from swarmtwin.studies.tracked_inputs import model_input
         from swarmtwin.tracking.runs import tracked_run
 

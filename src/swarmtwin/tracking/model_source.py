@@ -19,7 +19,7 @@ def model_folder(reference: str, task: str | None = None) -> Path:
     """
     if folder := named_folder(reference):
         return folder
-    require_extra("tracking", f"{reference} is kept by MLflow")
+    require_extra("tracking", f"{reference}, which MLflow keeps,")
     from swarmtwin.tracking.registry import find_version
 
     return find_version(reference, task).folder()
