@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
 from types import FrameType, ModuleType
@@ -98,7 +98,7 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
     As in every sweep, what fails does not keep the others from running.
     """
     failures: list[Exception] = []
-    with tempfile.TemporaryDirectory() as folder:
+    with _folder_for_rows(arguments) as folder:
         try:
             for number, study in enumerate(chosen):
                 config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
@@ -119,6 +119,17 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
                 Console().print(sweep_table(rows, COMMANDS[name].ranking), highlight=False)
     if failures:
         raise failures[0]
+
+
+@contextlib.contextmanager
+def _folder_for_rows(arguments: Sequence[str]) -> Iterator[str]:
+    """Give a folder for what the runs of a sweep come to, where all machines that they may run on can write."""
+    place = None
+    if {"-m", "--multirun"} & set(arguments):
+        place = Path("outputs/sweeps").absolute()
+        place.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=place, prefix=".rows-", suffix=".partial") as folder:
+        yield folder
 
 
 def _run_app(name: str, module_name: str, config_name: str, rows: Path) -> None:

@@ -76,7 +76,7 @@ def _needed(asked: tuple[Extra, ...] | None) -> tuple[Extra, ...]:
 
 def _python() -> Finding:
     try:
-        asked = metadata("swarmtwin").get("Requires-Python", "")
+        asked = metadata("swarmtwin")["Requires-Python"] or ""
     except PackageNotFoundError:  # imported from its sources
         asked = ""
     if SpecifierSet(asked).contains(platform.python_version()):
