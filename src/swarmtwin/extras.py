@@ -6,17 +6,18 @@
 
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, requires, version
-from typing import Literal
-
-from packaging.requirements import Requirement
+from typing import TYPE_CHECKING, Literal
 
 from swarmtwin.errors import UserError
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 Extra = Literal["base", "deploy", "tracking", "train", "studies", "slurm", "ray", "dev"]
 """A part; `base` is what is always installed."""
 
 
-def requirements(extra: Extra) -> tuple[Requirement, ...]:
+def requirements(extra: Extra) -> tuple["Requirement", ...]:
     """Return what an extra asks for beyond `base`, and what the extras that it is made of ask for.
 
     Empty where swarmtwin is imported from its sources without being installed.
@@ -60,7 +61,9 @@ def install_command(extra: Extra) -> str:
     return "pip install swarmtwin" if extra == "base" else f"pip install 'swarmtwin[{extra}]'"
 
 
-def _requirements(extra: str) -> Iterator[Requirement]:
+def _requirements(extra: str) -> Iterator["Requirement"]:
+    from packaging.requirements import Requirement  # not for those who only look up which commands there are
+
     for requirement in map(Requirement, _stated()):
         asked = _belongs_to(requirement, "") if extra == "base" else _belongs_to(requirement, extra)
         if not asked:
@@ -72,7 +75,7 @@ def _requirements(extra: str) -> Iterator[Requirement]:
             yield requirement
 
 
-def _belongs_to(requirement: Requirement, extra: str) -> bool:
+def _belongs_to(requirement: "Requirement", extra: str) -> bool:
     """Say whether a requirement is the extra's, and not one of `base`, which every extra would find again."""
     if requirement.marker is None:
         return not extra

@@ -82,11 +82,10 @@ def test_trainings_side_by_side_are_those_of_one_after_the_other(command, worksh
 def test_a_launcher_that_is_not_installed_is_one_line(command):
     if importlib.util.find_spec("ray"):
         pytest.skip("Ray is installed")
-    answer = command(
-        "prepare", "-m", "hydra/launcher=ray", "recording=reference", "output=out/${seed}", "split.seed=1,2"
-    )
-    assert answer.returncode in (1, 2)
-    assert "hydra/launcher=ray" in answer.stderr
+    sweep = ("recording=reference", "pictures=false", "split.seed=1,2", "output=out/${split.seed}")
+    answer = command("prepare", "-m", "hydra/launcher=ray", *sweep)
+    assert answer.returncode == 2
+    assert "pip install 'swarmtwin[ray]'" in answer.stderr
 
 
 def test_a_glob_is_each_of_the_choices_that_fit(workshop):

@@ -97,8 +97,7 @@ def _write_files(options: Options, folder: Path, origin: str) -> None:
     told = {"robot": options.name, "project": options.output.absolute().name, "origin": origin}
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, keep_trailing_newline=True, autoescape=False)
     for file in sorted((Path(__file__).parent / "project_files").iterdir()):
-        name = ".gitignore" if file.name == "gitignore" else file.name
-        (folder / name).write_text(environment.from_string(file.read_text()).render(told))
+        (folder / file.name.removesuffix(".jinja")).write_text(environment.from_string(file.read_text()).render(told))
 
 
 def _put_under_control(folder: Path) -> None:
