@@ -19,6 +19,9 @@ LOADED_BY_OTHERS = {
     "hydra-joblib-launcher": "Hydra, for sweeps",
     "hydra-submitit-launcher": "Hydra, for sweeps by Slurm",
     "ray": "joblib, for sweeps on a cluster",
+    "psycopg2-binary": "SQLAlchemy, for PostgreSQL",
+    "boto3": "MLflow, for buckets",
+    "dvc-s3": "DVC, for buckets",
     "onnxscript": "torch.onnx, to export",
     "mujoco": "rigid bodies, which look for it by its name",
 }
@@ -26,6 +29,7 @@ PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 EXTRAS = {"base": PROJECT["dependencies"], **PROJECT["optional-dependencies"]}
 SOURCES = sorted((REPOSITORY / "src").rglob("*.py"))
 COMPUTING = ("deploy", "tracking", "train", "studies")
+BY_NAME = ("slurm", "ray", "postgresql", "s3")
 NEVER_ON_A_ROBOTS_COMPUTER = {
     "lightning",
     "mlflow",
@@ -52,7 +56,7 @@ def asked_for(extra):
 
 def declared():
     """The requirements of the package itself and of the extras that it computes with."""
-    return dict(ChainMap(*map(asked_for, ("base", *COMPUTING, "slurm", "ray"))))
+    return dict(ChainMap(*map(asked_for, ("base", *COMPUTING, *BY_NAME))))
 
 
 def normal(name):

@@ -88,7 +88,7 @@ def _python() -> Finding:
 
 def _parts(needed: tuple[Extra, ...]) -> Iterator[Finding]:
     """Say of each part whether it is whole: what is lacking of one that is needed must be installed."""
-    parts: tuple[Extra, ...] = ("base", "deploy", "tracking", "train", "studies", "slurm", "ray")
+    parts: tuple[Extra, ...] = ("base", "deploy", "tracking", "train", "studies", "slurm", "ray", "postgresql", "s3")
     for part in parts:
         missing = missing_packages(part)
         name = f"[{part}]"
