@@ -19,7 +19,7 @@ LOADED_BY_OTHERS = {
     "hydra-joblib-launcher": "Hydra, for sweeps",
     "hydra-submitit-launcher": "Hydra, for sweeps by Slurm",
     "ray": "joblib, for sweeps on a cluster",
-    "psycopg2-binary": "SQLAlchemy, for PostgreSQL",
+    "psycopg": "SQLAlchemy, for PostgreSQL",
     "boto3": "MLflow, for buckets",
     "dvc-s3": "DVC, for buckets",
     "onnxscript": "torch.onnx, to export",
@@ -92,7 +92,7 @@ def imported(files, parts=ast.walk):
     for file in files:
         packages = {name.partition(".")[0] for name in names_in(file, parts)}
         for name in packages - sys.stdlib_module_names - {"swarmtwin"}:
-            found.setdefault(frozenset(map(normal, distributions[name])), file)
+            found.setdefault(frozenset(map(normal, distributions.get(name, [name]))), file)
     return found
 
 

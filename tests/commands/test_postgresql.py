@@ -1,7 +1,9 @@
 """One database for a lab: Optuna's studies and MLflow's runs in PostgreSQL, as Debian packages it."""
 
+import contextlib
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -40,7 +42,7 @@ def as_its_user(folder, program, *arguments):
 @pytest.fixture(scope="module")
 def server():
     """A server of its own with the databases `studies` and `mlflow`; where it is, as host:port."""
-    pytest.importorskip("psycopg2", reason="pip install 'swarmtwin[postgresql]'")
+    pytest.importorskip("psycopg", reason="pip install 'swarmtwin[postgresql]'")
     folder = Path(tempfile.mkdtemp(prefix="postgresql-"))
     if os.getuid() == 0:
         shutil.chown(folder, "postgres")
@@ -102,14 +104,12 @@ def test_a_model_trained_here_is_loaded_elsewhere_by_the_server_of_the_compose_f
 ):
     """Runs and the registry lie in PostgreSQL, files come through the server: no folder is shared."""
     artifacts, port = tmp_path_factory.mktemp("artifacts"), free_port()
-    with (tmp_path_factory.mktemp("log") / "server.log").open("w") as log:
+    said = tmp_path_factory.mktemp("log") / "server.log"
+    with said.open("w") as log:
         process = subprocess.Popen(served(server, artifacts, port), stdout=log, stderr=log, start_new_session=True)
     address = f"http://127.0.0.1:{port}"
     try:
-        for _ in range(240):
-            if process.poll() is None and answers(address):
-                break
-            time.sleep(0.5)
+        wait_for(address, process, said)
         monkeypatch.setenv("MLFLOW_TRACKING_URI", address)
         quick = ("recording=reference", "model=mlp", "model.steps=60", "recipe.batch_size=256", "seeds=1")
         trained = swarmtwin("train", *quick, "pictures=false", "output=model")
@@ -122,12 +122,17 @@ def test_a_model_trained_here_is_loaded_elsewhere_by_the_server_of_the_compose_f
         assert not (workshop / "mlruns").exists()
         assert list(artifacts.rglob("weights.safetensors"))
     finally:
-        os.killpg(process.pid, 15)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGTERM)
         process.wait(timeout=30)
 
 
-def answers(address):
-    try:
-        return requests.get(f"{address}/health", timeout=1).ok
-    except requests.RequestException:
-        return False
+def wait_for(address, process, said, longest_s=120):
+    """Wait until the server answers, as long as its process lives."""
+    began_s = time.monotonic()
+    while time.monotonic() - began_s < longest_s and process.poll() is None:
+        with contextlib.suppress(requests.RequestException):
+            if requests.get(f"{address}/health", timeout=1).ok:
+                return
+        time.sleep(0.5)
+    pytest.fail(f"no answer from {address}:\n{said.read_text()[-3000:]}")

@@ -109,7 +109,7 @@ def register(name: str, folder: Path, source: str, run_id: str | None, tags: Map
         with store_lock():
             if name not in _names(client):
                 client.create_registered_model(name)
-        number = client.create_model_version(name, source, run_id, tags=tags).version
+        number = client.create_model_version(name, source, run_id, tags=tags, model_id=model_id).version
         if model_id:
             client.set_logged_model_tags(
                 model_id, {MLFLOW_MODEL_VERSIONS: json.dumps([{"name": name, "version": number}])}
