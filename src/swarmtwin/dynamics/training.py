@@ -104,7 +104,7 @@ class TrainingJob(NamedTuple):
                     device=self.device,
                     resume_from=resume_from,
                     settings=self.trainer,
-                    curves=self.curves,
+                    curves=self.curves if self.trainer.processes == 1 else None,  # no database is used across a fork
                     prefix=f"seed_{self.seed}",
                 )
                 if self.trainer.processes > 1:  # what the others have seen stands in the file alone

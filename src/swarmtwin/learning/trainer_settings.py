@@ -19,7 +19,8 @@ class TrainerSettings(StrictModel):
         processes: that train a seed together, each on its share of every batch.
         strategy: Lightning's, by which they do.
         precision: Lightning's.
-        logger: whether the errors of each epoch arrive in the MLflow run while it learns.
+        logger: whether the errors of each epoch arrive in the MLflow run while one process learns; those of the seed
+            that becomes the model stand there in the end, in any case.
         system_metrics: whether the run shows how busy the machine is.
         progress_bar: what is seen in the terminal.
         checkpoint_epochs: so many epochs lie between two checkpoints.
