@@ -91,7 +91,8 @@ class TrainingJob(NamedTuple):
         with reproducible(self.seed, self.device):
             module, batches = self._prepared(data)
             checkpoint, every = self._checkpoint(), self.trainer.checkpoint_epochs
-            history = EpochHistory(self.seed, self._identity(data), batches, checkpoint, report, every)
+            told = report if self.trainer.processes == 1 else None  # who is told is in this process
+            history = EpochHistory(self.seed, self._identity(data), batches, checkpoint, told, every)
             resume_from = history.read_checkpoint()
             if len(history.errors) < self.epochs and not history.diverged:
                 validation = OrderedBatches(*data.to(torch_device(self.device)).validation)
