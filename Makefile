@@ -7,7 +7,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compiled once, when it is first imported
 
-.PHONY: help setup run test claims benchmark lint docs ui data notebooks dependencies lock queue fuzz kill demo faults
+.PHONY: help setup run test claims benchmark lint docs audit ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
@@ -15,6 +15,7 @@ help:
 	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
 	@echo "make lint       set up, check style and types"
 	@echo "make docs       set up, build the documentation into site/ and check its links"
+	@echo "make audit      a bill of all packages in the environment, and which of them are known to be vulnerable"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
 	@echo "make ui         open the MLflow UI on http://127.0.0.1:5000"
 	@echo "make benchmark  speed and memory, as figures and ratios"
@@ -104,6 +105,9 @@ claims: setup
 	$(BIN)/dvc pull --quiet data
 	$(BIN)/pytest -n 2 --dist worksteal -m claims tests
 	$(BIN)/pytest -n 2 --nbmake notebooks
+
+audit: setup  # what the environment is made of, as a CycloneDX bill, and what is known to be vulnerable in it
+	.ci/audit $(BIN)/python artifacts/audit
 
 benchmark: setup
 	$(BIN)/pytest -m benchmark_figures -s tests/benchmarks

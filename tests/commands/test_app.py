@@ -193,7 +193,7 @@ def test_each_study_is_one_folder_and_one_configuration():
 def test_each_command_of_the_table_is_a_module_and_none_is_forgotten():
     folder = Path(commands.__file__).parent
     aside = {"__init__", "app", "catalogue", "inputs", "option_help", "option_mistakes"}
-    shared = aside | {"outside_config", "preloaded", "sweep_mistakes", "sweep_table"}
+    shared = aside | {"outside_config", "preloaded", "shell_completion", "sweep_mistakes", "sweep_table"}
     modules = {path.stem for path in folder.glob("*.py")} - shared
     assert {command.module for command in COMMANDS.values()} == modules
 

@@ -27,7 +27,7 @@ def test_every_option_of_a_command_has_a_sentence(name):
     assert not [path for path in silent if not path.rpartition(".")[0]], silent
 
 
-@pytest.mark.parametrize("group", ["model", "recipe", "split", "policy", "generator", "robot", "task"])
+@pytest.mark.parametrize("group", ["model", "recipe", "trainer", "split", "policy", "generator", "robot", "task"])
 def test_every_field_of_a_choice_has_a_sentence(group):
     for file in config_files(group).values():
         fields = [one for one in ConfigFile.read(file).options if "." not in one.name and one.name != "name"]

@@ -21,6 +21,7 @@ from swarmtwin.simulation.pyfunc import ServedSimulation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.storage import write_transitions
 from tiny_policies import robot_named, save_seeker, simulation
@@ -166,11 +167,11 @@ def test_no_file_of_a_version_can_change_unnoticed(dynamics, name):
     kept = dynamics.folder().parents[1]
     mlflow.pyfunc.load_model("models:/mgr-dynamics@challenger")  # which leaves a note of MLflow's beside them
     assert (kept / "registered_model_meta").exists()
-    assert registry.model_folder("models:/mgr-dynamics@challenger") == dynamics.folder()
+    assert model_folder("models:/mgr-dynamics@challenger") == dynamics.folder()
     content = (kept / name).read_bytes()
     (kept / name).write_bytes(content.replace(b"swarmtwin.simulation.pyfunc", b"somebody.elses.pyfunc") + b" ")
     with pytest.raises(UserError, match="are not those that were registered: their digest is") as told:
-        registry.model_folder("models:/mgr-dynamics@challenger")
+        model_folder("models:/mgr-dynamics@challenger")
     assert dynamics.tags["files.digest"] in str(told.value)
 
 
@@ -197,11 +198,11 @@ def test_versions_registered_as_bare_folders_are_still_loaded_and_compared(dynam
     client = mlflow.MlflowClient()
     client.create_registered_model("bare-dynamics")
     client.create_model_version("bare-dynamics", source, run.run_id, tags={"digest": folder_digest(folder)})
-    kept = registry.model_folder("models:/bare-dynamics/1")
+    kept = model_folder("models:/bare-dynamics/1")
     assert load_simulation(kept).robot == MGR
     (kept / "MLmodel").write_text("flavors: {}")  # planted, with another model beside it
     shutil.copytree(folder, kept / "data" / "model")
-    assert registry.model_folder("models:/bare-dynamics/1") == kept
+    assert model_folder("models:/bare-dynamics/1") == kept
     (kept / "model.yaml").write_text("")
     with pytest.raises(UserError, match="are not those that were registered"):
-        registry.model_folder("models:/bare-dynamics/1")
+        model_folder("models:/bare-dynamics/1")

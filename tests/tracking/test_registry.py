@@ -12,6 +12,7 @@ from swarmtwin.tracking import registry
 from swarmtwin.tracking.challengers import challenge_by_errors
 from swarmtwin.tracking.datasets import files_digest
 from swarmtwin.tracking.gate import Errors
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import tracked_run
 
 NAME, POLICIES = "mgr-dynamics", "mgr-policy"
@@ -44,7 +45,7 @@ def test_versions_are_numbered_and_their_files_come_back(publish):
     first, second = publish("one"), publish("two")
     assert (first.number, second.number) == (1, 2)
     assert registry.find_version(f"models:/{NAME}/2").aliases == ()
-    assert (registry.model_folder(f"models:/{NAME}/1") / "model.yaml").read_text() == "one"
+    assert (model_folder(f"models:/{NAME}/1") / "model.yaml").read_text() == "one"
     assert registry.find_version(f"models:/{NAME}/1").tags["model"] == "mlp"
     assert champion() is None
 
@@ -130,11 +131,11 @@ def test_the_champion_of_a_task_is_found_and_that_of_another_refused_with_the_ri
     assert registry.find_version(plain, "collective").number == 1
     assert registry.find_version(plain, "obstacle").number == 2
     with pytest.raises(UserError, match=r"write models:/mgr-policy@champion-obstacle$"):
-        registry.model_folder(f"models:/{POLICIES}/1", "obstacle")
+        model_folder(f"models:/{POLICIES}/1", "obstacle")
     with pytest.raises(UserError, match=r"write models:/mgr-policy@champion$"):
-        registry.model_folder(f"{plain}-obstacle", "collective")
+        model_folder(f"{plain}-obstacle", "collective")
     with pytest.raises(UserError, match=r"not for 'pair': no policy for 'pair' is champion yet$"):
-        registry.model_folder(plain, "pair")
+        model_folder(plain, "pair")
 
 
 def test_a_copied_store_finds_its_files_beside_itself(publish, workplace, monkeypatch):
@@ -144,11 +145,11 @@ def test_a_copied_store_finds_its_files_beside_itself(publish, workplace, monkey
     shutil.rmtree(workplace / "mlruns")
     monkeypatch.chdir(copy)
     monkeypatch.delenv("MLFLOW_TRACKING_URI")  # MLflow sets it
-    folder = registry.model_folder(f"models:/{NAME}@champion")
+    folder = model_folder(f"models:/{NAME}@champion")
     assert (folder / "model.yaml").read_text() == "one"
     assert folder.is_relative_to(copy)
     registry.promote(publish("two"), "better", champion())
-    assert registry.model_folder(f"models:/{NAME}@champion").is_relative_to(copy)
+    assert model_folder(f"models:/{NAME}@champion").is_relative_to(copy)
     assert not (workplace / "mlruns").exists()
 
 
@@ -185,14 +186,14 @@ def test_champions_follow_each_other_and_roll_back_in_order(publish):
 def test_a_wrong_reference_says_what_there_is(publish, reference, message):
     publish("one")
     with pytest.raises(UserError) as error:
-        registry.model_folder(reference)
+        model_folder(reference)
     assert message in str(error.value)
 
 
 def test_a_version_whose_files_are_gone_is_not_blamed_on_the_store(publish):
     shutil.rmtree(publish("one").source.removeprefix("file://"))
     with pytest.raises(UserError, match=r"^the files of mgr-dynamics version 1 are not where .* says"):
-        registry.model_folder(f"models:/{NAME}/1")
+        model_folder(f"models:/{NAME}/1")
 
 
 def test_without_any_model_the_remedy_is_to_train_one(workplace):
@@ -207,11 +208,11 @@ def test_files_that_were_changed_are_refused_with_both_digests(publish):
     file = version.folder() / "model.yaml"
     file.write_text("two")
     with pytest.raises(UserError, match=r"version 1 in .* are not those that were registered: their digest is") as told:
-        registry.model_folder(f"models:/{NAME}/1")
+        model_folder(f"models:/{NAME}/1")
     assert version.tags["files.digest"] in str(told.value)
     assert files_digest(file.parent) in str(told.value)
     file.write_text("one")
-    assert registry.model_folder(f"models:/{NAME}/1") == file.parent
+    assert model_folder(f"models:/{NAME}/1") == file.parent
 
 
 def test_a_champion_that_was_not_compared_with_is_not_replaced(publish):

@@ -15,6 +15,7 @@ commands:
 {commands}
 
 Options stand in conf/<command>.yaml and the folders beside it; a folder of your own is added by --config-dir=DIR.
+A shell completes them after: eval "$(swarmtwin --shell-completion install=bash)"
 """
 
 
@@ -34,6 +35,8 @@ def main() -> None:
     if arguments[0] in ("--version", "version"):
         print(f"swarmtwin {__version__}")
         return
+    if arguments[0] in ("--shell-completion", "-sc"):
+        arguments = _completing(arguments[1:])
     name = arguments[0]
     if name not in COMMANDS:
         print(f"swarmtwin: unknown command {name!r}: {near_miss(name, COMMANDS)}", file=sys.stderr)
@@ -50,6 +53,21 @@ def main() -> None:
         status = 130
     answer_interrupts(signal.SIG_IGN)
     sys.exit(status)
+
+
+def _completing(asked: list[str]) -> list[str]:
+    """Answer a shell that completes what is typed; return the call that has to answer, where this has not been all."""
+    from swarmtwin.commands.shell_completion import complete
+    from swarmtwin.errors import UserError
+
+    try:
+        call = complete(asked)
+    except UserError as error:
+        print(f"swarmtwin: {error}", file=sys.stderr)
+        sys.exit(2)
+    if call is None:
+        sys.exit(0)
+    return [call[0], *call[1]]
 
 
 def _leave(signal_number: int, frame: FrameType | None) -> None:

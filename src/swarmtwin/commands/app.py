@@ -11,10 +11,10 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from pathlib import Path
-from types import FrameType
+from types import FrameType, ModuleType
 from typing import Any, NoReturn, cast
 
 import hydra
@@ -36,6 +36,7 @@ from swarmtwin.commands.sweep_mistakes import check_sweep
 from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
 from swarmtwin.configuration import config_folder, let_hydra_find_plugins
 from swarmtwin.errors import RefusedError, UserError
+from swarmtwin.extras import require_extra
 
 
 class Status(IntEnum):
@@ -97,7 +98,7 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
     As in every sweep, what fails does not keep the others from running.
     """
     failures: list[Exception] = []
-    with tempfile.TemporaryDirectory() as folder:
+    with _folder_for_rows(arguments) as folder:
         try:
             for number, study in enumerate(chosen):
                 config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
@@ -120,6 +121,17 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
         raise failures[0]
 
 
+@contextlib.contextmanager
+def _folder_for_rows(arguments: Sequence[str]) -> Iterator[str]:
+    """Give a folder for what the runs of a sweep come to, where all machines that they may run on can write."""
+    place = None
+    if {"-m", "--multirun"} & set(arguments):
+        place = Path("outputs/sweeps").absolute()
+        place.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=place, prefix=".rows-", suffix=".partial") as folder:
+        yield folder
+
+
 def _run_app(name: str, module_name: str, config_name: str, rows: Path) -> None:
     """Compose a configuration and run the module's `run` with the `Options` it makes, once for each run of a sweep.
 
@@ -137,8 +149,10 @@ def _spelled_out(name: str, arguments: list[str]) -> list[str]:
     """Turn policy=FOLDER and task=NAME into policy.folder= and task.name=: Hydra would look for them in conf/policy/.
 
     So it is where a policy is asked for that was learned, and for which task it was: not where one is to be learned.
-    Likewise broker=ADDRESS.
+    Likewise broker=ADDRESS; and `new NAME` is `new output=NAME`.
     """
+    if name == "new" and arguments and re.fullmatch(r"[\w./~][\w./~-]*", arguments[0]):
+        return [f"output={arguments[0]}", *arguments[1:]]
     if name not in ("rollout", "promote", "deploy", "collect", "fleet"):
         return arguments
     spelled = {"policy": "policy.folder", "task": "task.name", "broker": "broker.address"}
@@ -191,7 +205,7 @@ def _task(name: str, module_name: str, failures: list[Exception], rows: Path) ->
             from swarmtwin.commands.inputs import check_inputs  # not for --help, which it would make wait
 
             check_inputs(name, cast(dict[str, Any], content))
-            module = importlib.import_module(module_name)
+            module = _imported(name, module_name)
             if run.mode == RunMode.RUN:
                 answer_interrupts(_interrupt)  # until here nothing has begun
             headline = module.run(module.Options.parse(content, "options"))
@@ -207,6 +221,19 @@ def _task(name: str, module_name: str, failures: list[Exception], rows: Path) ->
         return headline
 
     return task
+
+
+def _imported(name: str, module_name: str) -> ModuleType:
+    """Import what runs a command.
+
+    Raises:
+        UserError: packages of the command's extra are not installed.
+    """
+    try:
+        return importlib.import_module(module_name)
+    except ModuleNotFoundError:
+        require_extra(COMMANDS[name].extra, name)
+        raise
 
 
 def _report(name: str, message: str, status: Status) -> Status:

@@ -31,7 +31,7 @@ from swarmtwin.studies.deployment_runner import (
     say_what_cannot_be_stopped,
 )
 from swarmtwin.studies.stand_in_recording import read_drive
-from swarmtwin.tracking import registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.transitions.inputs import as_texts
 
 log = logging.getLogger(__name__)
@@ -86,7 +86,7 @@ def _simulation(options: Options) -> Simulation:
             options.robot.name,
         )
         return nominal
-    return load_simulation(registry.model_folder(options.simulation), options.robot)[0].eval()
+    return load_simulation(model_folder(options.simulation), options.robot)[0].eval()
 
 
 def _drive_file(drive: Path) -> Path:

@@ -16,7 +16,8 @@ from swarmtwin.deploy.control.plan import Plan
 from swarmtwin.deploy.control.recovery import check_no_kill, recover
 from swarmtwin.deploy.control.settings import WatchSettings
 from swarmtwin.errors import RefusedError, UserError
-from swarmtwin.files import CHECKPOINTS, check_output, new_folder, output_folder, write_text
+from swarmtwin.extras import require_extra
+from swarmtwin.files import CHECKPOINTS, check_output, folder_digest, new_folder, output_folder, write_text
 from swarmtwin.policies.policy_folder import ModelFolder, StoredPolicy, TaskName, load_policy
 from swarmtwin.robot import Positive
 from swarmtwin.simulation.simulation import Simulation
@@ -41,9 +42,7 @@ from swarmtwin.studies.deployment_runner import (
     say_what_cannot_be_stopped,
 )
 from swarmtwin.studies.rollout_runner import simulation_of
-from swarmtwin.studies.tracked_inputs import model_input
-from swarmtwin.tracking import registry
-from swarmtwin.tracking.runs import tracked_run
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.transitions.inputs import Vehicles
 from swarmtwin.world.rollout_storage import save_rollouts
 from swarmtwin.world.task import Task
@@ -89,7 +88,7 @@ def run(options: Options) -> dict[str, Any]:
         recover(options.recover)
         Console().print(f"recording: {options.recover}", highlight=False, soft_wrap=True)
         return {"output": str(options.recover)}
-    folder_of_policy = registry.model_folder(options.policy.folder, options.task.name)
+    folder_of_policy = model_folder(options.policy.folder, options.task.name)
     policy = load_policy(folder_of_policy, options.robot, options.task.name)
     simulation = simulation_of(policy, options.simulation, options.robot)
     task = policy.task.build(options.robot, policy.arena)
@@ -151,7 +150,7 @@ def _deploy(
         title = f"{options.robot.title}: {policy.task.name}"
         header = header_of(plan, f"deployment of {options.policy.folder}")
         about = about_deployment(plan, header, options.model_dump(mode="json"), eyes)
-        about["policy"] = {"source": options.policy.folder, "digest": registry.folder_digest(policy.folder)}
+        about["policy"] = {"source": options.policy.folder, "digest": folder_digest(policy.folder)}
         about["simulation"] = options.simulation or policy.provenance.simulation.source
         if options.page.show:
             view = open_view(title, options.robot, plan.vehicles, plan.arena, eyes, options.page)
@@ -181,10 +180,14 @@ def _deploy(
 
 
 def _track(options: Options, folder: Path, policy: Path, name: str, metrics: dict[str, Any]) -> None:
-    """Keep the run; where the store cannot be used the recording must not be lost for it."""
+    """Keep the run; the recording must not be lost where MLflow is not installed, or its store cannot be used."""
     settings = options.model_dump(mode="json")
-    given = model_input(policy, "policy")
     try:
+        require_extra("tracking", "MLflow")
+        from swarmtwin.studies.tracked_inputs import model_input
+        from swarmtwin.tracking.runs import tracked_run
+
+        given = model_input(policy, "policy")
         with tracked_run("deployment", f"deploy {name}", settings, [given], options.seed) as tracked:
             tracked.metrics(tracked_deployment_figures(metrics))
             tracked.tag("policy.digest", given.digest)

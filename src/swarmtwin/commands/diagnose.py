@@ -25,6 +25,7 @@ from swarmtwin.studies.tracked_inputs import model_input, recording_input
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.challengers import challenge_by_errors
 from swarmtwin.tracking.gate import Errors
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
 
@@ -54,7 +55,7 @@ def run(options: Options) -> dict[str, Any]:
     Raises:
         UserError: an unusable reference or simulation, an unusable measured recording, or the output is taken.
     """
-    folder = registry.model_folder(options.simulation) if options.simulation else None
+    folder = model_folder(options.simulation) if options.simulation else None
     inputs = [path for path in (options.reference, folder, options.measured) if path]
     name = f"{options.robot.name}-{options.measured.resolve().name}"
     output = output_folder(options.output, "diagnose", name)

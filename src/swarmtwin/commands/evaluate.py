@@ -14,7 +14,7 @@ from swarmtwin.simulation.evaluation_folder import save_measurement
 from swarmtwin.simulation.evaluation_plots import draw_evaluation
 from swarmtwin.simulation.evaluation_table import measurement_table
 from swarmtwin.studies.tracked_inputs import model_input, recording_input
-from swarmtwin.tracking import registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles, read_vehicles
 
@@ -38,7 +38,7 @@ def run(options: Options) -> dict[str, Any]:
         UserError: no such model or recording, they do not fit each other, or the output is taken.
     """
     settings = options.model_dump(mode="json")
-    simulation = registry.model_folder(options.simulation)
+    simulation = model_folder(options.simulation)
     inputs = [options.recording, simulation]
     check_output(options.output, "evaluate", options.overwrite, inputs)
     device = torch_device(options.device)

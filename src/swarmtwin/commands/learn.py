@@ -34,6 +34,7 @@ from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.gate import Trials, judge_challenging_policy
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.world.randomised_motion import motion_in
 from swarmtwin.world.rollout import NEVER, Rate, play
@@ -124,7 +125,7 @@ def run(options: Options) -> dict[str, Any]:
 def _simulation(options: Options) -> tuple[str, Path]:
     """Return the simulation as it was named, and its folder; where none was, the pipeline's."""
     if options.simulation:
-        return options.simulation, registry.model_folder(options.simulation)
+        return options.simulation, model_folder(options.simulation)
     folder = Path("artifacts/dynamics") / options.robot.name / "crnet_synthetic"
     return str(folder), folder
 

@@ -17,8 +17,8 @@ from swarmtwin.policies.scripted_policy import SCRIPTED, ScriptedTask
 from swarmtwin.robot import Positive, Robot, Seed, StrictModel
 from swarmtwin.studies.rollout_runner import MotionName, roll_out_policy
 from swarmtwin.studies.tracked_inputs import model_input
-from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import Vehicles
 from swarmtwin.world.rollout import Show
@@ -99,5 +99,5 @@ def _policy(options: Options) -> StoredPolicy | ScriptedTask:
     """Return the policy to roll out, for the task asked for."""
     if options.policy.folder == SCRIPTED:
         return ScriptedTask(options.robot, options.task.name, options.task)
-    folder = registry.model_folder(options.policy.folder, options.task.name)
+    folder = model_folder(options.policy.folder, options.task.name)
     return load_policy(folder, options.robot, options.task.name).in_changed_task(options.task)

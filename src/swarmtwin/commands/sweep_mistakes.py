@@ -6,13 +6,13 @@ from typing import Any, cast
 import hydra
 from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, ValueType
+from hydra.core.override_parser.types import Glob, Override, ValueType
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from swarmtwin.commands.option_mistakes import explain
-from swarmtwin.configuration import config_folder
+from swarmtwin.configuration import config_files, config_folder
 from swarmtwin.errors import UserError
 
 
@@ -51,6 +51,9 @@ def check_sweep(command: str, config_name: str, arguments: Sequence[str], most: 
 
 def _values(override: Override) -> list[str]:
     """Return an override with each value that a sweep gives it, of a range the ends."""
+    if override.value_type == ValueType.GLOB_CHOICE_SWEEP:
+        choices = cast(Glob, override.value()).filter(sorted(config_files(override.get_key_element())))
+        return [f"{override.get_key_element()}={choice}" for choice in choices] or [str(override.input_line)]
     if override.value_type not in (ValueType.CHOICE_SWEEP, ValueType.SIMPLE_CHOICE_SWEEP, ValueType.RANGE_SWEEP):
         return [str(override.input_line)]
     values = [f"{override.get_key_element()}={value}" for value in override.sweep_string_iterator()]

@@ -1,6 +1,7 @@
 """`swarmtwin train`: a dynamics model learns from transitions, is tracked and registered; a better one challenges."""
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,12 +19,14 @@ from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.learning.recipe import Recipe
+from swarmtwin.learning.trainer_settings import LiveCurves, TrainerSettings
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.studies.tracked_inputs import split_inputs
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.challengers import challenge_by_errors
 from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
+from swarmtwin.tracking.store import store_uri
 from swarmtwin.transitions import SplitOptions, Transitions
 from swarmtwin.transitions.inputs import Vehicles
 
@@ -34,6 +37,7 @@ class Options(StrictModel):
     robot: Robot
     model: dict[str, Any]
     recipe: Recipe
+    trainer: TrainerSettings
     split: SplitOptions
     transitions: Path | None
     recording: Path | None
@@ -73,10 +77,11 @@ def run(options: Options) -> dict[str, Any]:
     inputs = [each for source in data.sources.items() for each in split_inputs(*source)]
     with (
         new_folder(output, "train", settings, options.overwrite, resumable=True, inputs=sources) as folder,
-        tracked_run("dynamics", name, settings, inputs, options.seed) as tracked,
+        tracked_run("dynamics", name, settings, inputs, options.seed, options.trainer.system_metrics) as tracked,
     ):
         started = time.monotonic()
-        trained = _train(options, config, data.transitions, folder / CHECKPOINTS)
+        curves = LiveCurves(tracked.run_id, store_uri()) if options.trainer.logger == "mlflow" else None
+        trained = _train(options, config, data.transitions, folder / CHECKPOINTS, curves)
         provenance = provenance_of(trained, data.preparation)
         save_trained(folder, trained, provenance, data.evidence)
         if options.pictures:
@@ -97,14 +102,26 @@ def run(options: Options) -> dict[str, Any]:
     return {**_errors(provenance), "training_s": round(seconds, 1), "output": str(output)}
 
 
-def _train(options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path) -> Trained:
+def _train(
+    options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path, curves: LiveCurves | None
+) -> Trained:
     seeds = range(options.seed, options.seed + options.seeds)
     rows = len(transitions.part("train"))
     epochs = options.recipe.completed(config.learning_rate, config.steps, rows).epochs or 0
-    with training_bars(f"{options.robot.name} {config.name}", epochs) as report:
+    shown = options.trainer.progress_bar == "epochs"
+    with training_bars(f"{options.robot.name} {config.name}", epochs) if shown else nullcontext() as report:
         spare = max(len(seeds), 4)  # that take the place of dead ones: of four, one lives, or the recipe is at fault
         return train(
-            transitions, config, options.recipe, seeds, checkpoints, report, reserve=spare, device=options.device
+            transitions,
+            config,
+            options.recipe,
+            seeds,
+            checkpoints,
+            report,
+            reserve=spare,
+            device=options.device,
+            trainer=options.trainer,
+            curves=curves,
         )
 
 

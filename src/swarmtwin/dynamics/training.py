@@ -27,6 +27,7 @@ from swarmtwin.learning.ensemble import bootstrap_counts
 from swarmtwin.learning.parallel import cores, run_side_by_side
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.learning.trainer import run_trainer
+from swarmtwin.learning.trainer_settings import LiveCurves, TrainerSettings
 from swarmtwin.transitions import Transitions
 
 log = logging.getLogger(__name__)
@@ -63,6 +64,8 @@ class TrainingJob(NamedTuple):
         checkpoint: a file, written after each epoch, from which an interrupted training is continued to the same
             numbers bit for bit; None: neither written nor read.
         device: where to train.
+        trainer: how Lightning trains, but for the device.
+        curves: the run that the errors of each epoch are sent to, named after the seed; None: none.
     """
 
     transitions: Transitions
@@ -71,6 +74,8 @@ class TrainingJob(NamedTuple):
     seed: int
     checkpoint: Path | None = None
     device: Device = "auto"
+    trainer: TrainerSettings = TrainerSettings()
+    curves: LiveCurves | None = None
 
     @property
     def epochs(self) -> int:
@@ -89,7 +94,9 @@ class TrainingJob(NamedTuple):
             if isinstance(self.config, FittedModelConfig):
                 return self._fitted(self.config, data, report)
             module, batches = self._prepared(data)
-            history = EpochHistory(self.seed, self._identity(data), batches, self.checkpoint, report)
+            checkpoint, every = self._checkpoint(), self.trainer.checkpoint_epochs
+            told = report if self.trainer.processes == 1 else None  # who is told is in this process
+            history = EpochHistory(self.seed, self._identity(data), batches, checkpoint, told, every)
             resume_from = history.read_checkpoint()
             if len(history.errors) < self.epochs and not history.diverged:
                 validation = OrderedBatches(*data.to(torch_device(self.device)).validation)
@@ -101,7 +108,12 @@ class TrainingJob(NamedTuple):
                     epochs=self.epochs,
                     device=self.device,
                     resume_from=resume_from,
+                    settings=self.trainer,
+                    curves=self.curves if self.trainer.processes == 1 else None,  # no database is used across a fork
+                    prefix=f"seed_{self.seed}",
                 )
+                if self.trainer.processes > 1:  # what the others have seen stands in the file alone
+                    history.read_checkpoint()
             dynamics = module.dynamics.cpu()
             dynamics.load_state_dict(history.best_weights or dynamics.state_dict())
             dead = _why_dead(dynamics.eval(), history, len(batches), data)
@@ -143,6 +155,12 @@ class TrainingJob(NamedTuple):
                 step_s = time.perf_counter() - start
         return step_s * len(batches) * self.epochs
 
+    def _checkpoint(self) -> Path | None:
+        """Return the file for checkpoints; several processes need one, to leave there what came of them."""
+        if self.checkpoint is None and self.trainer.processes > 1:
+            raise UserError("several processes that train together need a folder for checkpoints: give checkpoints=")
+        return self.checkpoint
+
     def _data(self) -> TensorSplits:
         return tensor_splits(self.transitions, self.config.inputs(self.transitions.robot))
 
@@ -159,7 +177,8 @@ class TrainingJob(NamedTuple):
         return TrainingModule(dynamics, self.recipe, self.epochs * len(batches)), batches
 
     def _identity(self, data: TensorSplits) -> str:
-        settings = [part.model_dump(mode="json") for part in (self.config, self.recipe, data.robot)]
+        parts = (self.config, self.recipe, data.robot, self.trainer)
+        settings = [part.model_dump(mode="json") for part in parts]
         return hashlib.sha256(json.dumps([*settings, data.digest(), self.seed]).encode()).hexdigest()
 
 
@@ -230,6 +249,8 @@ def train(
     processes: int | None = None,
     reserve: int = 0,
     device: Device = "auto",
+    trainer: TrainerSettings | None = None,
+    curves: LiveCurves | None = None,
 ) -> Trained:
     """Train each seed on the training split; the best live one on the validation split is the model.
 
@@ -245,11 +266,16 @@ def train(
         processes: seeds trained at a time; by default as many as there are cores, or one where that is quicker.
         reserve: how many further seeds may be tried in place of dead ones.
         device: where to train.
+        trainer: how Lightning trains; by default as `conf/trainer/default.yaml` says.
+        curves: the run that the errors of each seed's epochs are sent to while it learns; None: none.
 
     Raises:
         UserError: too little data, values that are not finite, every seed is dead, or no GPU where one is asked for.
     """
     recipe = recipe.completed(config.learning_rate, config.steps, len(transitions.part("train")))
+    trainer = trainer or TrainerSettings()
+    if trainer.processes > 1:  # that share one seed's training
+        processes = 1
     if checkpoints:
         checkpoints.mkdir(parents=True, exist_ok=True)
     results: list[SeedResult] = []
@@ -257,7 +283,7 @@ def train(
     while waiting:
         files = [checkpoints / f"seed-{seed}.ckpt" if checkpoints else None for seed in waiting]
         jobs = [
-            TrainingJob(transitions, config, recipe, seed, file, device)
+            TrainingJob(transitions, config, recipe, seed, file, device, trainer, curves)
             for seed, file in zip(waiting, files, strict=True)
         ]
         tried = train_seeds(jobs, report, processes)

@@ -17,6 +17,7 @@ from swarmtwin.files import whole_file
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.learning.batches import Batch, CountedBatch, ShuffledBatches, epoch_seed
 from swarmtwin.learning.recipe import Recipe
+from swarmtwin.learning.trainer import VALIDATION_LOSS
 
 log = logging.getLogger(__name__)
 
@@ -60,7 +61,7 @@ class TrainingModule(lightning.LightningModule):
     def training_step(self, batch: Batch | CountedBatch, batch_index: int) -> dict[str, Tensor]:
         """Take one step of the recipe's optimiser and schedule."""
         optimiser = cast(Any, self.optimizers(use_pl_optimizer=False))
-        loss, errors = self.loss(batch)
+        loss, errors = self.loss(self._own_share(batch))
         optimiser.zero_grad()
         self.manual_backward(loss)
         optimiser.step()
@@ -68,6 +69,13 @@ class TrainingModule(lightning.LightningModule):
         if not isinstance(scheduler, ReduceLROnPlateau):
             scheduler.step()
         return {"loss": loss.detach(), "errors": errors}
+
+    def _own_share(self, batch: Batch | CountedBatch) -> Batch | CountedBatch:
+        """Return the rows of a batch that are this process's, where several train together."""
+        together, own = self.trainer.world_size, self.trainer.global_rank
+        if together == 1:
+            return batch
+        return cast("Batch | CountedBatch", tuple(part[own::together] for part in batch))
 
     def validation_step(self, batch: Batch, batch_index: int) -> dict[str, Tensor]:
         """Return the batch's mean errors, position in mm and orientation in rad."""
@@ -117,6 +125,7 @@ class EpochHistory(lightning.Callback):
         batches: ShuffledBatches,
         checkpoint: Path | None = None,
         report: EpochReport | None = None,
+        checkpoint_epochs: int = 1,
     ) -> None:
         """Follow a training.
 
@@ -126,12 +135,14 @@ class EpochHistory(lightning.Callback):
             batches: told which epoch it is.
             checkpoint: the file from which an interrupted training continues.
             report: called after each epoch.
+            checkpoint_epochs: so many epochs lie between two checkpoints; there is always one after the last.
         """
         self.seed = seed
         self.identity = identity
         self.batches = batches
         self.checkpoint = checkpoint
         self.report = report
+        self.checkpoint_epochs = checkpoint_epochs
         self.errors: list[Epoch] = []
         self.best_loss = math.inf
         self.best_epoch = 0
@@ -205,7 +216,7 @@ class EpochHistory(lightning.Callback):
     def on_train_epoch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         """Close the epoch: errors, schedule, best weights, checkpoint, report."""
         assert isinstance(module, TrainingModule)
-        epoch = self._close_epoch()
+        epoch = self._close_epoch(trainer)
         self.errors.append(epoch)
         orientation_rad = math.radians(epoch.validation_orientation_deg)
         loss = epoch.validation_position_mm + module.recipe.heading_weight * orientation_rad
@@ -218,14 +229,33 @@ class EpochHistory(lightning.Callback):
             self.best_weights = {name: tensor.cpu().clone() for name, tensor in weights.items()}
         if self.diverged:
             trainer.should_stop = True
-        if self.checkpoint is not None:
-            with whole_file(self.checkpoint) as aside:
-                trainer.save_checkpoint(aside)
+        module.log(VALIDATION_LOSS, loss, logger=False)
+        if trainer.logger:
+            rate = scheduler.optimizer.param_groups[0]["lr"]
+            trainer.logger.log_metrics({**epoch._asdict(), "learning_rate": rate}, step=len(self.errors))
+        if self.checkpoint is not None and len(self.errors) % self.checkpoint_epochs == 0:
+            self._save_checkpoint(trainer, self.checkpoint)
         if self.report:
             self.report(self.seed, len(self.errors), epoch)
 
-    def _close_epoch(self) -> Epoch:
-        train_mm, train_rad = torch.stack(self._train).mean(dim=0).tolist()
+    def on_train_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        """Keep the end, where it lies between two checkpoints."""
+        if self.checkpoint is not None and len(self.errors) % self.checkpoint_epochs:
+            self._save_checkpoint(trainer, self.checkpoint)
+
+    def _save_checkpoint(self, trainer: lightning.Trainer, file: Path) -> None:
+        """Write a checkpoint, whole or not at all; of several processes the first writes, and all wait."""
+        if trainer.is_global_zero:
+            with whole_file(file) as aside:
+                trainer.save_checkpoint(aside)
+        else:
+            trainer.save_checkpoint(file)
+
+    def _close_epoch(self, trainer: lightning.Trainer) -> Epoch:
+        train = torch.stack(self._train).mean(dim=0)
+        if trainer.world_size > 1:  # each process has seen its share of each batch
+            train = cast(Tensor, trainer.strategy.reduce(train, reduce_op="mean"))
+        train_mm, train_rad = train.tolist()
         count = sum(size for _, size in self._validation)
         validation_mm, validation_rad = (
             torch.stack([errors * (size / count) for errors, size in self._validation]).sum(dim=0).tolist()

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from swarmtwin.errors import UserError
 from swarmtwin.learning.stored_folder import StoredFolder
-from swarmtwin.policies.onnx_export import ONNX, write_onnx
 from swarmtwin.policies.policy import Architecture, Policy
 from swarmtwin.policies.rollout_comparison import Evaluation
 from swarmtwin.robot import Arena, CommandColumn, Robot, StrictModel
@@ -205,6 +204,8 @@ def save_policy(folder: Path, policy: Policy, task: TaskConfig, arena: Arena, pr
     Raises:
         UserError: its outputs are not finite, or ONNX computes others.
     """
+    from swarmtwin.policies.onnx_export import ONNX, write_onnx  # for those who learn: robots' computers have no ONNX
+
     description = Description(
         robot=policy.robot,
         task=task.model_dump(mode="json"),

@@ -85,8 +85,8 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
 def _run_tables(files: Sequence[Path], robot: Robot, digest: "hashlib._Hash") -> Iterator[tuple[str, RunTable]]:
     """Yield each run's name and rows, in order of name; `digest` takes in the files."""
     if files[0].name == RUNS_FILE:
-        with files[0].open("rb") as content:
-            while part := content.read(2**24):
+        with files[0].open("rb") as together:
+            while part := together.read(2**24):
                 digest.update(part)
         yield from parse_runs_together(files[0], robot)
         return

@@ -4,6 +4,7 @@ import csv
 import difflib
 import functools
 import itertools
+import operator
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -220,7 +221,7 @@ def parse_runs_together(file: Path, robot: Robot) -> Iterator[tuple[str, RunTabl
             if run in done:
                 raise fault(file, f"the rows of run {run!r} do not stand together", "sort the rows by run", first_row)
             done.add(run)
-            yield run, _run_table(file, table, robot, False, unread, lambda index, first=first_row: first + index)
+            yield run, _run_table(file, table, robot, False, unread, functools.partial(operator.add, first_row))
     if not done:
         raise fault(file, "there are no rows", "record again, or remove the file")
 

@@ -6,8 +6,6 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
-from sklearn.ensemble import HistGradientBoostingRegressor
-from sklearn.model_selection import GroupKFold, KFold
 
 from swarmtwin.dynamics.evaluation import neighbour_prediction
 from swarmtwin.errors import UserError
@@ -87,6 +85,11 @@ def _averaged(values: np.ndarray, transitions: Transitions, given: Sequence[Situ
     Raises:
         UserError: a vehicle has too few transitions.
     """
+    from sklearn.ensemble import (
+        HistGradientBoostingRegressor,
+    )  # for those who evaluate, not for those who only simulate
+    from sklearn.model_selection import GroupKFold, KFold
+
     columns, averaged = _columns(transitions, given), np.zeros_like(values)
     for own in _vehicles(transitions):
         rows, runs = np.flatnonzero(own), np.unique(transitions.run[own])

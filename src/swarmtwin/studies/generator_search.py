@@ -52,9 +52,9 @@ class GeneratorSearch(HyperparameterSearch):
             raise UserError(f"these are {preparation.origin} transitions: a generator learns from real ones only")
         config = cast(GeneratorConfig, configs["generator"])
 
-        def tell(record: Record) -> None:
+        def tell(record: Record, steps: int) -> None:
             figures = [figure for name, figure in record.items() if name.startswith("validation")]
-            report(int(record["step"]), config.training_steps, sum(figures))
+            report(int(record["step"]), steps, sum(figures))
 
         made = synthesise(
             transitions, preparation, config, self.seed, real=None, count=None, report=tell, device=self.device

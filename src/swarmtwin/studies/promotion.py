@@ -28,6 +28,7 @@ from swarmtwin.studies.deployed_trials import deployed_trials
 from swarmtwin.studies.rollout_runner import in_simulation, on_stand_ins, other_vehicles, simulation_of
 from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import gate, registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.models import ModelKind
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions import Transitions, from_recording, load_preparation
@@ -146,7 +147,7 @@ def _find_candidate(kind: ModelKind, candidate: str, robot: Robot, task: str | N
             noun = {"dynamics": "dynamics model", "policy": "policy"}[kind]
             raise UserError(f"{candidate} is no {noun} of robot {robot.name!r}: add robot=... or what=...")
         return version
-    folder = registry.model_folder(candidate)
+    folder = model_folder(candidate)
     if kind == "dynamics":
         _, provenance = load_simulation(folder, robot)
         tags, seed = provenance.tags(model_name(folder)), provenance.seed

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from swarmtwin.diagnosis.measured_ranges import chosen_randomisation
 from swarmtwin.errors import UserError
+from swarmtwin.files import folder_digest
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.policies.policy_folder import StoredPolicy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
@@ -17,7 +18,7 @@ from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.live import LiveVehicles
 from swarmtwin.standin.session import require_stand_in
-from swarmtwin.tracking import registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.world.motion import Motion, SimulatedMotion
 from swarmtwin.world.randomised_motion import RandomisedMotion
 from swarmtwin.world.rollout import Rollout, play
@@ -102,17 +103,17 @@ def simulation_of(policy: StoredPolicy | ScriptedTask, chosen: str | None, robot
         UserError: there is none, or it is of another robot.
     """
     if isinstance(policy, ScriptedTask):
-        return load_simulation(registry.model_folder(chosen or str(policy.simulation)), robot)[0]
+        return load_simulation(model_folder(chosen or str(policy.simulation)), robot)[0]
     learned_in = policy.provenance.simulation
     reference = chosen or learned_in.source
     try:
-        folder = registry.model_folder(reference)
+        folder = model_folder(reference)
     except UserError as error:
         if chosen:
             raise
         raise UserError(f"the simulation that {policy.folder} was learned in: {error}; or add simulation=...") from None
     simulation, _ = load_simulation(folder, robot)
-    if chosen is None and registry.folder_digest(folder) != learned_in.digest:
+    if chosen is None and folder_digest(folder) != learned_in.digest:
         log.warning("%s is no longer the model that %s was learned in", reference, policy.folder)
     return simulation
 

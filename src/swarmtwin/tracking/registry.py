@@ -21,7 +21,7 @@ from mlflow.utils.mlflow_tags import MLFLOW_MODEL_VERSIONS
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
 from swarmtwin.tracking.datasets import files_digest
-from swarmtwin.tracking.model_reference import ModelReference, named_folder
+from swarmtwin.tracking.model_reference import ModelReference
 from swarmtwin.tracking.models import model_data
 from swarmtwin.tracking.store import store_errors, store_lock, use_store
 
@@ -109,7 +109,7 @@ def register(name: str, folder: Path, source: str, run_id: str | None, tags: Map
         with store_lock():
             if name not in _names(client):
                 client.create_registered_model(name)
-        number = client.create_model_version(name, source, run_id, tags=tags).version
+        number = client.create_model_version(name, source, run_id, tags=tags, model_id=model_id).version
         if model_id:
             client.set_logged_model_tags(
                 model_id, {MLFLOW_MODEL_VERSIONS: json.dumps([{"name": name, "version": number}])}
@@ -206,19 +206,6 @@ def check_task(version: Version, task: str | None) -> None:
     if _holder(known, "champion", task) is None:
         remedy = f"no policy for {task!r} is champion yet"
     raise UserError(f"{version} is for task {version.task!r}, not for {task!r}: {remedy}")
-
-
-def model_folder(reference: str, task: str | None = None) -> Path:
-    """Return the folder of a model given as a folder, `models:/NAME@ALIAS` or `models:/NAME/VERSION`.
-
-    Args:
-        reference: to the model.
-        task: what a registered policy must be for; None: whatever it is for.
-
-    Raises:
-        UserError: there is no such folder, name, alias or version, or it is for another task.
-    """
-    return named_folder(reference) or find_version(reference, task).folder()
 
 
 def challenge(version: Version, compare: Callable[[Version], tuple[bool, str]]) -> str:

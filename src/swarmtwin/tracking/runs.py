@@ -6,6 +6,7 @@ import subprocess
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +15,7 @@ import yaml
 from matplotlib.figure import Figure
 from mlflow.entities import Metric
 
+from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS
 from swarmtwin.tracking.datasets import Dataset, dvc_hashes, log_datasets
 from swarmtwin.tracking.models import ModelKind, log_model
@@ -91,18 +93,34 @@ def tracked_run(
     config: Mapping[str, Any],
     inputs: Sequence[Dataset] = (),
     seed: int | None = None,
+    system_metrics: bool = False,
 ) -> Iterator[TrackedRun]:
     """Open an MLflow run, under the sweep or study that is going on if there is one; close it with how it ended.
 
+    Args:
+        experiment: that it belongs to.
+        name: of the run.
+        config: its options.
+        inputs: what it is given.
+        seed: of everything random.
+        system_metrics: whether it shows how busy processor, memory, disk and GPU are.
+
     Raises:
-        UserError: the tracking store cannot be used.
+        UserError: the tracking store cannot be used, or what measures the machine is not installed.
     """
+    if system_metrics and find_spec("psutil") is None:
+        raise UserError("system_metrics measures by psutil, which is not installed here: pip install psutil")
     hashes = dvc_hashes(dataset.folder for dataset in inputs)
     tags = _tags(hashes, seed)
     with store_errors():
         use_experiment(experiment)
         close_orphans(experiment)
-        run = mlflow.start_run(run_name=name, tags=tags, parent_run_id=os.environ.get(PARENT_RUN))
+        run = mlflow.start_run(
+            run_name=name,
+            tags=tags,
+            parent_run_id=os.environ.get(PARENT_RUN),
+            log_system_metrics=system_metrics or None,
+        )
     try:
         with store_errors():
             longest = 500  # characters that MLflow keeps of a parameter's value

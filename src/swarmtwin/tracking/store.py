@@ -52,6 +52,12 @@ def store_uri() -> str:
     return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{folder / 'mlflow.db'}"
 
 
+def is_new() -> bool:
+    """Say whether the store is a database file that is yet to be made."""
+    database = _database()
+    return database is not None and not (database.exists() and database.stat().st_size)
+
+
 def use_store() -> None:
     """Point MLflow at its store, and let it speak up only when something is wrong.
 
@@ -74,7 +80,7 @@ def _open_store(uri: str) -> None:
         return
     with store_lock():
         database = _database()
-        if database and not (database.exists() and database.stat().st_size):
+        if database and is_new():
             _make_database(database)
         experiments = mlflow.MlflowClient().search_experiments()
         if database:

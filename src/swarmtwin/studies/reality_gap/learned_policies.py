@@ -17,7 +17,7 @@ from swarmtwin.policies.training import PolicyJob, Schedule, learn_all, task_in
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.reality_gap.options import GapOptions
-from swarmtwin.tracking import registry
+from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.world.task import Task, task_config
 
 
@@ -73,7 +73,7 @@ def load_candidates(options: GapOptions) -> list[Candidate]:
 
 
 def _candidate(name: str, reference: str, options: GapOptions) -> Candidate:
-    folder = registry.model_folder(reference)
+    folder = model_folder(reference)
     simulation, _ = load_simulation(folder, options.robot)
     task = task_in(folder, options.robot, task_config(options.task, "task"), options.sampled)
     on_device = simulation.to(torch_device(options.device))
