@@ -100,7 +100,7 @@ def show_help(command: str, config_name: str, arguments: Sequence[str], console:
         if file := config_files(group).get(choice):
             part = ConfigFile.read(file)
             console.print(f"{name}={choice}: {part.summary}")
-            console.print(_option_columns(part.options, f"{package or group}."))
+            console.print(_option_columns(part.options, "" if package == "_global_" else f"{package or group}."))
     console.print("A sweep is -m option=a,b,c, one run each. --cfg job prints the whole configuration.")
 
 
