@@ -29,6 +29,30 @@ CONTROLS: dict[ControlKind, str] = {
     "other_generator": "with another generator than the paper's",
 }
 
+Finding = Literal[
+    "holds",
+    "fails",
+    "open",
+    "beats_plain_mlp",
+    "weak_baselines",
+    "equal_steps",
+    "counting_epochs",
+    "needless_generator",
+    "other_generator",
+]
+
+FINDINGS: dict[Finding, str] = {
+    "holds": "holds on our data",
+    "fails": "does not hold on our data",
+    "open": "cannot be told on our data",
+    "beats_plain_mlp": "the plain MLP is beaten as well",
+    "weak_baselines": "it rests on weak baselines: that the plain MLP is beaten is not borne out",
+    "equal_steps": "it holds at equal numbers of steps as well",
+    "counting_epochs": "it rests on counting epochs: at equal numbers of steps it is not borne out",
+    "needless_generator": "no generator is needed for it: as many steps on the few real transitions alone do it too",
+    "other_generator": "with another generator than the paper's it holds",
+}
+
 PLACES = {
     "train_vehicle": "the vehicle learned from",
     "other_vehicle": "another vehicle",
@@ -115,14 +139,19 @@ class JudgedClaim(StrictModel):
         where: in the paper.
         judged: the paper's own comparisons.
         controls: those that it lacks.
-        conclusion: what follows from both.
+        findings: what follows from both.
     """
 
     says: str
     where: str
     judged: Judged
     controls: dict[ControlKind, Judged]
-    conclusion: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def conclusion(self) -> str:
+        """What follows, in words."""
+        return "; ".join(FINDINGS[finding] for finding in self.findings)
 
 
 Errors = Mapping[Training, Mapping[str, Mapping[int, RunErrors]]]
@@ -143,27 +172,23 @@ def judge(claim: Claim, errors: Errors, real: int, judging: Judging) -> JudgedCl
         return None
     found = {kind: _judged(control, errors, real, judging) for kind, control in claim.controls.items()}
     controls = {kind: control for kind, control in found.items() if control.compared}
-    conclusion = conclude(judged.verdict, {kind: control.verdict for kind, control in controls.items()})
-    return JudgedClaim(says=claim.says, where=claim.where, judged=judged, controls=controls, conclusion=conclusion)
+    findings = conclude(judged.verdict, {kind: control.verdict for kind, control in controls.items()})
+    return JudgedClaim(says=claim.says, where=claim.where, judged=judged, controls=controls, findings=findings)
 
 
-def conclude(verdict: Verdict, controls: Mapping[ControlKind, Verdict]) -> str:
-    """Say what a claim's own comparisons and its controls mean together."""
-    said = {HOLDS: "holds on our data", FAILS: "does not hold on our data", OPEN: "cannot be told on our data"}[verdict]
-    parts = [said]
-    if verdict == HOLDS and controls.get("plain_mlp") in (FAILS, OPEN):
-        parts.append("it rests on weak baselines: the plain MLP is not beaten")
-    if verdict == HOLDS and controls.get("plain_mlp") == HOLDS:
-        parts.append("it holds against the plain MLP as well")
-    if verdict == HOLDS and controls.get("equal_steps") in (FAILS, OPEN):
-        parts.append("it rests on counting epochs: at equal steps it is not borne out")
-    if verdict == HOLDS and controls.get("equal_steps") == HOLDS:
-        parts.append("it holds at equal steps as well")
+def conclude(verdict: Verdict, controls: Mapping[ControlKind, Verdict]) -> tuple[Finding, ...]:
+    """Return what a claim's own comparisons and its controls mean together."""
+    own: dict[Verdict, Finding] = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
+    findings = [own[verdict]]
+    if verdict == HOLDS and "plain_mlp" in controls:
+        findings.append("beats_plain_mlp" if controls["plain_mlp"] == HOLDS else "weak_baselines")
+    if verdict == HOLDS and "equal_steps" in controls:
+        findings.append("equal_steps" if controls["equal_steps"] == HOLDS else "counting_epochs")
     if controls.get("without_generator") == HOLDS:
-        parts.append("no generator is needed for it: the same number of steps on the few real transitions does it too")
+        findings.append("needless_generator")
     if verdict != HOLDS and controls.get("other_generator") == HOLDS:
-        parts.append("with another generator it holds")
-    return "; ".join(parts)
+        findings.append("other_generator")
+    return tuple(findings)
 
 
 def _judged(comparisons: Comparisons, errors: Errors, real: int, judging: Judging) -> Judged:

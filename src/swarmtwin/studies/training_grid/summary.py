@@ -46,8 +46,8 @@ class Summary(StrictModel):
     def about(self) -> str:
         """What was done, in a sentence."""
         return (
-            f"{self.trainings} trainings ({self.seeds} seeds of each) with {self.real:,} real transitions to learn from, "
-            f"of robot {self.robot} ({self.source}), scale {self.scale}, recipe {self.recipe}: "
+            f"{self.trainings} trainings ({self.seeds} seeds of each) with {self.real:,} real transitions to learn "
+            f"from, of robot {self.robot} ({self.source}), scale {self.scale}, recipe {self.recipe}: "
             f"{self.training_s / 60:.1f} minutes of training on one core, of which this call spent "
             f"{self.taken_s / 60:.1f} minutes on those that were not in the store."
         )

@@ -87,7 +87,7 @@ class Training(StrictModel):
             given.append(f"{self.generator_epochs:g} epochs of the generator")
         if self.noise:
             given.append(f"noise of {self.noise:g} mm and °")
-        if self.equal == "epochs" and not self.as_many_as_real:
+        if self.equal == "epochs":
             given.append("equal epochs")
         return ", ".join((name, *given))
 
