@@ -286,6 +286,8 @@ def test_a_claim_that_weak_baselines_bear_out_is_told_from_one_that_holds():
     (compared,) = judged.judged.compared
     assert "crnet-R errs 4." in compared.sentence
     assert compared.sentence.endswith(": better")
+    worse = judge(claim, errors_of({crnet: 9.5, weak: 9.0, mlp: 3.9}), 1000, JUDGING)
+    assert worse.findings == ("fails",)
     better = judge(claim, errors_of({crnet: 3.0, weak: 9.0, mlp: 3.9}), 1000, JUDGING)
     assert better.findings == ("holds", "beats_plain_mlp")
     assert judge(claim, errors_of({mlp: 3.9}), 1000, JUDGING) is None
@@ -320,6 +322,11 @@ def test_a_training_without_a_live_seed_decides_nothing_and_is_said_to_be_dead()
 )
 def test_what_follows_of_a_claim_and_its_controls(verdict, controls, findings):
     assert conclude(verdict, controls) == findings
+
+
+def test_a_claim_that_only_some_baselines_bear_out_is_said_to_rest_on_them():
+    assert conclude(FAILS, {"plain_mlp": FAILS}, some_hold=True) == ("fails", "some_baselines")
+    assert conclude(FAILS, {"plain_mlp": FAILS}, some_hold=False) == ("fails",)
 
 
 def test_the_fewest_real_transitions_that_are_enough_are_found():
@@ -425,9 +432,9 @@ def test_the_table_begins_with_the_floor_and_has_the_papers_figures_beneath_ours
 
 def test_pictures_show_what_the_table_says(tmp_path):
     trainings = [Training(model="crnet"), Training(model="mlp"), Training(model="fcnn")]
-    panel = dots_figure(table_of(trainings, [3.4, 3.3, 20.0], tmp_path), "dots").axes[1]
+    panel = dots_figure(table_of(trainings, [3.4, 3.3, 40.0], tmp_path), "dots").axes[1]
     assert panel.containers[0].lines[0].get_xdata() == pytest.approx([3.4, 3.3])
-    assert any("20.0" in text.get_text() for text in panel.texts)
+    assert any("40.0" in text.get_text() for text in panel.texts)
     curves = [Training(model="mlp", real=share, equal=equal) for equal in ("steps", "epochs") for share in (0.1, 1.0)]
     lines = curve_figure(table_of(curves, [4.0, 3.3, 6.0, 3.3], tmp_path), "size", "curve").axes[1].lines
     drawn = {line.get_label(): line.get_xydata().tolist() for line in lines}

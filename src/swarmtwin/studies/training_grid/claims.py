@@ -35,6 +35,7 @@ Finding = Literal[
     "open",
     "beats_plain_mlp",
     "weak_baselines",
+    "some_baselines",
     "equal_steps",
     "counting_epochs",
     "needless_generator",
@@ -47,6 +48,7 @@ FINDINGS: dict[Finding, str] = {
     "open": "cannot be told on our data",
     "beats_plain_mlp": "the plain MLP is beaten as well",
     "weak_baselines": "it rests on weak baselines: that the plain MLP is beaten is not borne out",
+    "some_baselines": "it holds against some of the models alone; that the plain MLP is beaten is not borne out",
     "equal_steps": "it holds at equal numbers of steps as well",
     "counting_epochs": "it rests on counting epochs: at equal numbers of steps it is not borne out",
     "needless_generator": "no generator is needed for it: as many steps on the few real transitions alone do it too",
@@ -128,7 +130,7 @@ class Judged(StrictModel):
     def held(self) -> str:
         """How many of them hold."""
         count = sum(one.verdict == HOLDS for one in self.compared)
-        return f"{count} of {len(self.compared)} comparison{'s' if len(self.compared) > 1 else ''} hold"
+        return f"{count} of {len(self.compared)} comparisons"
 
 
 class JudgedClaim(StrictModel):
@@ -172,16 +174,25 @@ def judge(claim: Claim, errors: Errors, real: int, judging: Judging) -> JudgedCl
         return None
     found = {kind: _judged(control, errors, real, judging) for kind, control in claim.controls.items()}
     controls = {kind: control for kind, control in found.items() if control.compared}
-    findings = conclude(judged.verdict, {kind: control.verdict for kind, control in controls.items()})
+    some_hold = any(one.verdict == HOLDS for one in judged.compared)
+    findings = conclude(judged.verdict, {kind: control.verdict for kind, control in controls.items()}, some_hold)
     return JudgedClaim(says=claim.says, where=claim.where, judged=judged, controls=controls, findings=findings)
 
 
-def conclude(verdict: Verdict, controls: Mapping[ControlKind, Verdict]) -> tuple[Finding, ...]:
-    """Return what a claim's own comparisons and its controls mean together."""
+def conclude(verdict: Verdict, controls: Mapping[ControlKind, Verdict], some_hold: bool = False) -> tuple[Finding, ...]:
+    """Return what a claim's own comparisons and its controls mean together.
+
+    Args:
+        verdict: of its own comparisons together.
+        controls: of each of its controls.
+        some_hold: whether at least one of its own comparisons holds.
+    """
     own: dict[Verdict, Finding] = {HOLDS: "holds", FAILS: "fails", OPEN: "open"}
     findings = [own[verdict]]
     if verdict == HOLDS and "plain_mlp" in controls:
         findings.append("beats_plain_mlp" if controls["plain_mlp"] == HOLDS else "weak_baselines")
+    if verdict != HOLDS and some_hold and controls.get("plain_mlp") in (FAILS, OPEN):
+        findings.append("some_baselines")
     if verdict == HOLDS and "equal_steps" in controls:
         findings.append("equal_steps" if controls["equal_steps"] == HOLDS else "counting_epochs")
     if controls.get("without_generator") == HOLDS:

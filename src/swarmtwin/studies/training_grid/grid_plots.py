@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from swarmtwin.files import read_provenance
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
@@ -48,7 +50,7 @@ def draw_grid(made: Path, output: Path) -> None:
         open_loop_figure(predicted).savefig(output / f"{options['name']}_runs.png")
 
 
-def dots_figure(table: pd.DataFrame, title: str, widest: float = 2.5) -> Figure:
+def dots_figure(table: pd.DataFrame, title: str, widest: float = 10.0) -> Figure:
     """Draw each training's errors as dots with their spread over seeds, floors as lines, the paper's as diamonds.
 
     Args:
@@ -103,7 +105,11 @@ def _draw_dots(panel: Axes, own: pd.DataFrame, quantity: str, widest: float) -> 
             panel.annotate(f"{values[row]:.1f} ", (reach, row), ha="right", va="center", fontsize=7, color=colour)
     for row in rows[np.isnan(errors)]:
         panel.annotate("dead ", (reach, row), ha="right", va="center", fontsize=8)
-    panel.set_xlim(right=1.02 * reach)
+    largest = float(np.nanmax(np.minimum([errors, paper], reach), initial=0.0))
+    least = float(np.nanmin([errors, paper], initial=np.inf))
+    if np.isfinite(least) and largest > 2 * least:
+        panel.set_xscale("log")
+        _plain_numbers(panel.xaxis)
 
 
 def _draw_floors(line: Callable[..., Any], own: pd.DataFrame, quantity: str) -> None:
@@ -132,12 +138,18 @@ def curve_figure(table: pd.DataFrame, x: str, title: str) -> Figure:
             errors = own.position_mm
             if len(errors) and errors.max() > 2.5 * errors.min():
                 panel.set_yscale("log")
-                panel.yaxis.set_major_formatter("{x:g}")
-                panel.yaxis.set_minor_formatter("{x:g}")
+                _plain_numbers(panel.yaxis)
         panels[0].set(ylabel=TITLES["position_mm"])
         figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
         figure.suptitle(title, fontsize=10)
     return figure
+
+
+def _plain_numbers(axis: Axis) -> None:
+    """Let a logarithmic axis say 3 and 20 rather than powers of ten."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _lines(own: pd.DataFrame, x: str) -> Mapping[str, pd.DataFrame]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from swarmtwin.studies.study_table import StudyTable
-from swarmtwin.studies.training_grid.claims import CONTROLS, JudgedClaim
+from swarmtwin.studies.training_grid.claims import CONTROLS, Compared, JudgedClaim
 from swarmtwin.studies.training_grid.enough_data import EnoughData
 from swarmtwin.studies.training_grid.result_table import CAPTION
 
@@ -41,12 +41,15 @@ def report_text(
 def claim_text(claim: JudgedClaim) -> str:
     """Return what is said of a claim: its conclusion, and each comparison that it rests on."""
     lines = [f"### {claim.says} ({claim.where})", f"**{claim.conclusion[0].upper()}{claim.conclusion[1:]}.**"]
-    lines += [f"The paper's comparison {claim.judged.verdict} ({claim.judged.held}):", _compared(claim.judged.compared)]
+    lines += [
+        f"As claimed: {claim.judged.verdict}, borne out by {claim.judged.held}:",
+        _compared(claim.judged.compared),
+    ]
     for kind, control in claim.controls.items():
-        lines.append(f"Control, {CONTROLS[kind]}: {control.verdict} ({control.held}):")
+        lines.append(f"Control, {CONTROLS[kind]}: {control.verdict}, borne out by {control.held}:")
         lines.append(_compared(control.compared))
     return "\n\n".join(lines)
 
 
-def _compared(compared: Sequence[object]) -> str:
-    return "\n".join(f"- {getattr(one, 'sentence', one)}." for one in compared)
+def _compared(compared: Sequence[Compared]) -> str:
+    return "\n".join(f"- {one.sentence}." for one in compared)

@@ -51,7 +51,7 @@ def training_rows(
         seeds, dead_seeds, dead_because.
         *_mm, *_deg: over transitions; *_over_seeds: standard deviation over seeds; *_sd_*: over transitions.
         floor_command_*, floor_history_*: of the best possible model, given the robot's situation, or the commands
-            before as well.
+            before as well; `_kind`: whether it is known exactly or estimated, and how.
         paper_*: what the paper states of its own robots.
     """
     live = next((outcome for outcome in outcomes if outcome.dead is None), outcomes[0])
@@ -76,8 +76,8 @@ def training_rows(
     return rows
 
 
-def _means(errors: Sequence[MeasuredErrors]) -> dict[str, float]:
-    row: dict[str, float] = {}
+def _means(errors: Sequence[MeasuredErrors]) -> dict[str, Any]:
+    row: dict[str, Any] = {}
     for name in errors[0].figures if errors else ():
         values = [one.figures[name] for one in errors if name in one.figures]
         row[name] = float(np.mean(values))
@@ -85,6 +85,7 @@ def _means(errors: Sequence[MeasuredErrors]) -> dict[str, float]:
             row[f"{name}_over_seeds"] = float(np.std(values, ddof=1))
     for known, floor in errors[0].floors.items() if errors else ():
         row |= {f"floor_{known}_{name}": value for name, value in floor.items()}
+        row[f"floor_{known}_kind"] = errors[0].floor_kinds[known]
     return row
 
 
@@ -130,8 +131,13 @@ def _floor_row(table: pd.DataFrame, recordings: Sequence[str], known: str) -> li
             return []
         figures = own.loc[own[f"floor_{known}_position_mm"].first_valid_index()]
         cells.append(f"{figures[f'floor_{known}_position_mm']:.2f}; {figures[f'floor_{known}_orientation_deg']:.2f}")
-    name = "floor, given the command" if known == "command" else "floor, given the history"
-    return [name, "", "", *cells, "", "", ""]
+    return [_floor_name(table, known), "", "", *cells, "", "", ""]
+
+
+def _floor_name(table: pd.DataFrame, known: str) -> str:
+    """Return what a floor is called; ≈ where it is an estimate."""
+    kinds = table.get(f"floor_{known}_kind", pd.Series(dtype=str)).dropna()
+    return f"floor, given the {known}{'' if set(kinds) <= {'exact'} else ' ≈'}"
 
 
 def _training_row(by_recording: Mapping[str, Mapping[Any, Any]], recordings: Sequence[str]) -> list[str]:
@@ -202,7 +208,8 @@ CAPTION = (
     "standard deviation over seeds; position in mm, orientation in degrees. Train vehicle: held-out runs of the "
     "vehicle learned from. Model error: distance to the stand-in's exact mean displacement, on the train vehicle. "
     "Open loop: RMSE over whole runs predicted from the first pose and the commands alone, on the last recording. "
-    "The paper's figures are of its own robots, from single trainings."
+    "Floor: of the best possible model; ≈ is estimated. The paper's figures are of its own robots, from single "
+    "trainings."
 )
 
 
@@ -214,7 +221,7 @@ def brief_table(table: pd.DataFrame, title: str) -> StudyTable:
         names = [f"floor_{known}_{name}" for name in ("position_mm", "orientation_deg")]
         if names[0] in own and own[names[0]].notna().any():
             figures = [_number(own[name].dropna().iloc[0]) for name in names]
-            rows.append([f"floor, given the {known}", "", *figures, "", ""])
+            rows.append([_floor_name(table, known), "", *figures, "", ""])
     loops = table[table.recording == list(dict.fromkeys(table.recording))[-1]].set_index("title")
     for row in own.to_dict("records"):
         errors = [_with_seeds(row, "position_mm", 2) or "dead", _with_seeds(row, "orientation_deg", 2)]
