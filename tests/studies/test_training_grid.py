@@ -16,17 +16,17 @@ from swarmtwin.generators.generator import generator_config
 from swarmtwin.studies.training_grid.claims import Claim, conclude, judge
 from swarmtwin.studies.training_grid.comparison import FAILS, HOLDS, OPEN, Difference, Judging, compare, overall
 from swarmtwin.studies.training_grid.enough_data import enough_data
-from swarmtwin.studies.training_grid.grid_plots import curve_figure, dots_figure, heat_map_figure
-from swarmtwin.studies.training_grid.measured_errors import RunErrors
-from swarmtwin.studies.training_grid.options import Options
-from swarmtwin.studies.training_grid.result_table import brief_table, read_table, shown_table
-from swarmtwin.studies.training_grid.training_data import (
-    TrainingData,
+from swarmtwin.studies.training_grid.grid_data import (
+    GridData,
     drawn_runs,
     steps_an_epoch,
     with_epochs,
     with_noise,
 )
+from swarmtwin.studies.training_grid.grid_plots import curve_figure, dots_figure, heat_map_figure
+from swarmtwin.studies.training_grid.measured_errors import RunErrors
+from swarmtwin.studies.training_grid.options import Options
+from swarmtwin.studies.training_grid.result_table import brief_table, read_table, shown_table
 from swarmtwin.studies.training_grid.training_store import key_of
 from swarmtwin.studies.training_grid.trainings import Grid, Training, all_trainings, chosen
 from swarmtwin.transitions import SPLITS, Fractions, Preparation
@@ -120,7 +120,7 @@ def data(robots):
     )
     models = {name: model_config({"name": name, "learning_rate": 0.01, "steps": 50}, name) for name in ("mlp", "crnet")}
     generators = {"gan": generator_config({"name": "gan"}, "gan")}
-    return TrainingData((transitions, preparation), models, generators, recipe(batch_size=64), None)
+    return GridData((transitions, preparation), models, generators, recipe(batch_size=64), None)
 
 
 def made_of(data, training, seed=1):
@@ -139,7 +139,7 @@ def test_equal_steps_are_equal_and_equal_epochs_are_equal(data):
 
 
 def test_a_recipe_that_counts_epochs_is_made_longer_for_fewer_rows_at_equal_steps(data):
-    counting = TrainingData(data.real, data.models, data.generators, recipe("paper", epochs=4), None)
+    counting = GridData(data.real, data.models, data.generators, recipe("paper", epochs=4), None)
     everything = len(data.real[0].part("train"))
     assert counting.recipe_for(Training(model="mlp"), everything).epochs == 4
     assert counting.recipe_for(Training(model="mlp", real=0.1), everything // 10).epochs > 30

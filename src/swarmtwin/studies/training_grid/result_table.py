@@ -9,7 +9,7 @@ import pandas as pd
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.study_table import StudyTable
 from swarmtwin.studies.training_grid.measured_errors import MeasuredErrors
-from swarmtwin.studies.training_grid.training_store import Outcome
+from swarmtwin.studies.training_grid.training_store import TrainingOutcome
 from swarmtwin.studies.training_grid.trainings import Selector, Training, chosen
 
 Four = tuple[float, float | None, float | None, float | None]
@@ -37,7 +37,7 @@ SeedErrors = Mapping[int, Mapping[str, MeasuredErrors]]
 
 def training_rows(
     training: Training,
-    outcomes: Sequence[Outcome],
+    outcomes: Sequence[TrainingOutcome],
     errors: SeedErrors,
     recordings: Sequence[str],
     real: int,

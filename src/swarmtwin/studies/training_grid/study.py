@@ -22,12 +22,12 @@ from swarmtwin.simulation.open_loop import open_loop
 from swarmtwin.simulation.open_loop_storage import save_open_loop
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.tracked_inputs import recording_input, split_inputs
+from swarmtwin.studies.training_grid.grid_data import GridData
 from swarmtwin.studies.training_grid.grid_plots import draw_grid
 from swarmtwin.studies.training_grid.options import Options
 from swarmtwin.studies.training_grid.report import report_text
 from swarmtwin.studies.training_grid.result_table import brief_table, read_table, shown_table, training_rows
 from swarmtwin.studies.training_grid.summary import Summary, summarise
-from swarmtwin.studies.training_grid.training_data import TrainingData
 from swarmtwin.studies.training_grid.training_jobs import GeneratorJob, MeasuredTrainingJob, planned_jobs
 from swarmtwin.studies.training_grid.training_store import TrainingStore
 from swarmtwin.studies.training_grid.trainings import Training
@@ -54,7 +54,7 @@ def run(options: Options) -> dict[str, Any]:
     transitions, preparation, _ = training_transitions(
         options.robot, None, options.train_vehicle, options.train_vehicles, options.split
     )
-    data = TrainingData((transitions, preparation), models, generators, options.recipe, options.scale.steps)
+    data = GridData((transitions, preparation), models, generators, options.recipe, options.scale.steps)
     measured = {
         name: Measured.of(read_vehicles(folder, options.robot, vehicles), folder)
         for name, (folder, vehicles) in recordings.items()
@@ -87,7 +87,7 @@ def _recordings(options: Options) -> dict[str, tuple[Path, Vehicles]]:
     return recordings | ({"open_loop": (options.open_loop, None)} if options.open_loop else {})
 
 
-def _done(options: Options, data: TrainingData, measured: Mapping[str, Measured]) -> list[MeasuredTrainingJob]:
+def _done(options: Options, data: GridData, measured: Mapping[str, Measured]) -> list[MeasuredTrainingJob]:
     """Return every seed of every training, trained and measured: what is not in the store is made here."""
     store = TrainingStore(options.store.absolute())
     jobs, generators = planned_jobs(data, measured, store, options.grid, options.seeds, options.device)

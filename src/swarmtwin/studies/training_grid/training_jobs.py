@@ -15,9 +15,9 @@ from swarmtwin.learning.device import Device
 from swarmtwin.learning.parallel import Report
 from swarmtwin.simulation.evaluation import Measured, measure
 from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.studies.training_grid.grid_data import GridData, RealPart, steps_an_epoch, with_noise
 from swarmtwin.studies.training_grid.measured_errors import MeasuredErrors
-from swarmtwin.studies.training_grid.training_data import RealPart, TrainingData, steps_an_epoch, with_noise
-from swarmtwin.studies.training_grid.training_store import Outcome, TrainingStore, key_of
+from swarmtwin.studies.training_grid.training_store import TrainingOutcome, TrainingStore, key_of
 from swarmtwin.studies.training_grid.trainings import Training
 from swarmtwin.studies.training_sets import trained_model
 from swarmtwin.transitions import mix
@@ -37,7 +37,7 @@ class GeneratorJob:
         made_of: all that decides what comes of it.
     """
 
-    data: TrainingData
+    data: GridData
     store: TrainingStore
     training: Training
     seed: int
@@ -61,7 +61,7 @@ class GeneratorJob:
             trained = generator, Lineage.of(preparation, real, self.seed)
         except UserError as error:
             dead = str(error)
-        outcome = Outcome(
+        outcome = TrainingOutcome(
             made_of=dict(self.made_of),
             seconds=time.monotonic() - began,
             steps=config.training_steps,
@@ -87,7 +87,7 @@ class MeasuredTrainingJob:
         made_of: all that decides what comes of it.
     """
 
-    data: TrainingData
+    data: GridData
     measured: Mapping[str, Measured]
     store: TrainingStore
     training: Training
@@ -133,7 +133,9 @@ class MeasuredTrainingJob:
             transitions, preparation = self._training_set()
         except UserError as error:
             self.store.keep_model(
-                self.key, None, Outcome(made_of=dict(self.made_of), seconds=time.monotonic() - began, dead=str(error))
+                self.key,
+                None,
+                TrainingOutcome(made_of=dict(self.made_of), seconds=time.monotonic() - began, dead=str(error)),
             )
             return
         rows = len(transitions.part("train"))
@@ -141,7 +143,7 @@ class MeasuredTrainingJob:
         config = self.data.model_config(self.training)
         job = TrainingJob(transitions, config, recipe, self.seed, device=self.device)
         model = trained_model(job, preparation, job.run(None))
-        outcome = Outcome(
+        outcome = TrainingOutcome(
             made_of=dict(self.made_of),
             seconds=time.monotonic() - began,
             epochs=job.epochs,
@@ -188,7 +190,7 @@ def key_of_recording(measured: Measured) -> str:
 
 
 def planned_jobs(
-    data: TrainingData,
+    data: GridData,
     measured: Mapping[str, Measured],
     store: TrainingStore,
     trainings: Sequence[Training],

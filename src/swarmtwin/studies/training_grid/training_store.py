@@ -27,7 +27,7 @@ COMMAND = "experiment training"
 OUTCOME = "outcome.json"
 
 
-class Outcome(StrictModel):
+class TrainingOutcome(StrictModel):
     """What came of a training.
 
     Attributes:
@@ -86,15 +86,15 @@ class TrainingStore:
         """Say whether a training is finished, well or badly."""
         return (self.path(key) / OUTCOME).exists()
 
-    def outcome(self, key: str) -> Outcome:
+    def outcome(self, key: str) -> TrainingOutcome:
         """Return what came of a training.
 
         Raises:
             UserError: its file is damaged.
         """
-        return Outcome.parse(self._json(self.path(key) / OUTCOME), str(self.path(key) / OUTCOME))
+        return TrainingOutcome.parse(self._json(self.path(key) / OUTCOME), str(self.path(key) / OUTCOME))
 
-    def keep_model(self, key: str, model: TrainedModel | None, outcome: Outcome) -> None:
+    def keep_model(self, key: str, model: TrainedModel | None, outcome: TrainingOutcome) -> None:
         """Keep a trained model, as `train` leaves one, or why there is none.
 
         Raises:
@@ -113,7 +113,7 @@ class TrainingStore:
         """
         return TrainedModel(seed, load_dynamics(self.path(key)), Provenance.read(self.path(key)))
 
-    def keep_generator(self, key: str, trained: tuple[Generator, Lineage] | None, outcome: Outcome) -> None:
+    def keep_generator(self, key: str, trained: tuple[Generator, Lineage] | None, outcome: TrainingOutcome) -> None:
         """Keep a trained generator, or why there is none.
 
         Raises:

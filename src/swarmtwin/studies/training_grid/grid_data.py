@@ -31,7 +31,7 @@ class RealPart(NamedTuple):
 
 
 @dataclass(frozen=True)
-class TrainingData:
+class GridData:
     """All that the trainings of a grid are made of.
 
     Attributes:
