@@ -441,7 +441,7 @@ def test_pictures_show_what_the_table_says(tmp_path):
     assert drawn["equal steps"] == [[100.0, 4.0], [1000.0, 3.3]]
     assert drawn["equal epochs"][0] == [100.0, 6.0]
     cells = [Training(model="mlp", generator="gan", real=r, synthetic=s) for r in (0.1, 1.0) for s in (0.1, 1.0)]
-    cells.append(Training(model="mlp", real=0.1))
-    figure = heat_map_figure(table_of(cells, [9.0, 8.0, 7.0, 6.0, 5.0], tmp_path), "map")
+    cells += [Training(model="mlp", real=0.1), Training(model="crnet", real=0.1)]
+    figure = heat_map_figure(table_of(cells, [9.0, 8.0, 7.0, 6.0, 5.0, 4.0], tmp_path), "map")
     shown = [text.get_text() for text in figure.axes[0].texts]
     assert shown == ["5.00", "9.00", "8.00", "dead", "7.00", "6.00"]

@@ -247,7 +247,8 @@ def _heat_map(own: pd.DataFrame, generator: str) -> pd.DataFrame:
     count = drawn.real_transitions / drawn.real
     by_drawn = drawn.assign(drawn=(drawn.synthetic * count).round().astype(int))
     grid = by_drawn.pivot_table(index="real_transitions", columns="drawn", values="position_mm", dropna=False)
-    alone = own[(own.generator == "") & (own.equal == "steps")].set_index("real_transitions").position_mm
+    measured = own[(own.generator == "") & (own.equal == "steps") & own.model.isin(set(drawn.model))]
+    alone = measured.set_index("real_transitions").position_mm
     shown = grid.rename(columns=lambda number: f"{number:,}")
     if len(alone):
         shown.insert(0, "real alone", alone)
