@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, NullLocator
 
 from swarmtwin.files import read_provenance
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
@@ -122,27 +122,44 @@ def _draw_floors(line: Callable[..., Any], own: pd.DataFrame, quantity: str) -> 
 def curve_figure(table: pd.DataFrame, x: str, title: str) -> Figure:
     """Draw position errors over one field of the trainings, a line for each of what else differs, on both vehicles.
 
-    What was not varied along it is a dashed line across; bands are standard deviations over seeds.
+    A colour is what is learned from, or the model where all learn from the same; a marker is the model. Lines at equal
+    epochs are dashed, and what was not varied along the axis is dotted. Bands are standard deviations over seeds.
     """
     with style():
-        figure = Figure(figsize=(10, 4.6), layout="constrained")
+        figure = Figure(figsize=(11, 5.4), layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
         for panel, (place, name) in zip(panels, PLACES.items(), strict=True):
             own = table[(table.recording == place)].dropna(subset="position_mm")
-            for index, (label, line) in enumerate(_lines(own, x).items()):
-                _draw_line(panel, line, x, label, f"C{index}")
+            for label, line in _lines(own, x).items():
+                _draw_line(panel, line, x, label, _look(line, own))
             _draw_floors(panel.axhline, own, "position_mm")
             panel.set(xlabel=AXES[x], title=name)
             if x in ("size", "real", "synthetic", "generator_epochs"):
                 panel.set_xscale("log")
+                places = sorted({round(value) for value in own[x].dropna() * _transitions(own, x)})
+                panel.set_xticks(places, [f"{place:,}" for place in places])
+                panel.xaxis.set_minor_locator(NullLocator())
             errors = own.position_mm
             if len(errors) and errors.max() > 2.5 * errors.min():
                 panel.set_yscale("log")
                 _plain_numbers(panel.yaxis)
         panels[0].set(ylabel=TITLES["position_mm"])
-        figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
         figure.suptitle(title, fontsize=10)
     return figure
+
+
+def _look(line: pd.DataFrame, own: pd.DataFrame) -> dict[str, Any]:
+    """Return colour, marker and dashes of a line."""
+    generators, models = list(dict.fromkeys(sorted(own.generator))), list(dict.fromkeys(own.model))
+    generator = max(line.generator)
+    colour = generators.index(generator) if len(generators) > 2 else models.index(line.model.iloc[0])
+    dashed = (line.equal == "epochs").all() or (len(generators) <= 2 and not generator)
+    return {
+        "color": f"C{colour}",
+        "marker": "osD^vPX"[models.index(line.model.iloc[0]) % 7],
+        "linestyle": "--" if dashed else "-",
+    }
 
 
 def _plain_numbers(axis: Axis) -> None:
@@ -193,21 +210,22 @@ def _line_name(values: Mapping[str, Any]) -> str:
     return ", ".join(word for word in words if word)
 
 
-def _draw_line(panel: Axes, line: pd.DataFrame, x: str, label: str, colour: str) -> None:
+def _draw_line(panel: Axes, line: pd.DataFrame, x: str, label: str, look: Mapping[str, Any]) -> None:
     points = line.dropna(subset=x).sort_values(x)
     if points[x].nunique() < 2:
-        panel.axhline(float(line.position_mm.iloc[0]), color=colour, linestyle="--", label=label)
+        panel.axhline(float(line.position_mm.iloc[0]), color=look["color"], linestyle=":", label=label)
         return
-    scale = points.real_transitions / points.real if x in ("real",) else _transitions(points, x)
-    place = points[x] * scale
-    panel.plot(place, points.position_mm, "o-", color=colour, markersize=3.5, label=label)
+    place = points[x] * _transitions(points, x)
+    panel.plot(place, points.position_mm, markersize=4, label=label, **look)
     spread = points.get("position_mm_over_seeds", pd.Series(0.0, points.index)).fillna(0.0)
-    panel.fill_between(place, points.position_mm - spread, points.position_mm + spread, color=colour, alpha=0.15)
+    panel.fill_between(
+        place, points.position_mm - spread, points.position_mm + spread, color=look["color"], alpha=0.08, linewidth=0
+    )
 
 
 def _transitions(points: pd.DataFrame, x: str) -> pd.Series | float:
     """Return by what a field counted in multiples of all real transitions becomes a number of them."""
-    return points.real_transitions / points.real if x in ("size", "synthetic") else 1.0
+    return points.real_transitions / points.real if x in ("size", "real", "synthetic") else 1.0
 
 
 def heat_map_figure(table: pd.DataFrame, title: str, place: str = "other_vehicle") -> Figure:
