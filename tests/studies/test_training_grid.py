@@ -327,6 +327,7 @@ def test_what_follows_of_a_claim_and_its_controls(verdict, controls, findings):
 def test_a_claim_that_only_some_baselines_bear_out_is_said_to_rest_on_them():
     assert conclude(FAILS, {"plain_mlp": FAILS}, some_hold=True) == ("fails", "some_baselines")
     assert conclude(FAILS, {"plain_mlp": FAILS}, some_hold=False) == ("fails",)
+    assert conclude(OPEN, {"equal_steps": FAILS}, some_hold=True) == ("open", "some_epochs")
 
 
 def test_the_fewest_real_transitions_that_are_enough_are_found():
@@ -398,6 +399,7 @@ def table_of(trainings, errors, tmp_path):
                     **training.model_dump(),
                     "size": training.size,
                     "measured_share": training.measured_share,
+                    "all_real": 1000,
                     "real_transitions": round(1000 * training.real),
                     "steps": 300,
                     "seeds": 3,

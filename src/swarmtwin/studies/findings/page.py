@@ -9,7 +9,7 @@ from swarmtwin.studies.training_grid.comparison import FAILS, HOLDS, OPEN
 
 GROUPS: Mapping[str, tuple[Finding, ...]] = {
     "Owed to weak baselines": ("weak_baselines", "some_baselines"),
-    "Owed to counting epochs instead of steps": ("counting_epochs",),
+    "Owed to counting epochs instead of steps": ("counting_epochs", "some_epochs"),
     "No generator needed": ("needless_generator",),
     "Holds with another generator": ("other_generator",),
 }

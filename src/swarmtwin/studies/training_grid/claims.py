@@ -36,6 +36,7 @@ Finding = Literal[
     "beats_plain_mlp",
     "weak_baselines",
     "some_baselines",
+    "some_epochs",
     "equal_steps",
     "counting_epochs",
     "needless_generator",
@@ -48,7 +49,8 @@ FINDINGS: dict[Finding, str] = {
     "open": "cannot be told on our data",
     "beats_plain_mlp": "the plain MLP is beaten as well",
     "weak_baselines": "it rests on weak baselines: that the plain MLP is beaten is not borne out",
-    "some_baselines": "it holds against some of the models alone; that the plain MLP is beaten is not borne out",
+    "some_baselines": "some of its comparisons hold; that the plain MLP is beaten is not borne out",
+    "some_epochs": "some of its comparisons hold at equal epochs; at equal numbers of steps it is not borne out",
     "equal_steps": "it holds at equal numbers of steps as well",
     "counting_epochs": "it rests on counting epochs: at equal numbers of steps it is not borne out",
     "needless_generator": "no generator is needed for it: as many steps on the few real transitions alone do it too",
@@ -193,6 +195,8 @@ def conclude(verdict: Verdict, controls: Mapping[ControlKind, Verdict], some_hol
         findings.append("beats_plain_mlp" if controls["plain_mlp"] == HOLDS else "weak_baselines")
     if verdict != HOLDS and some_hold and controls.get("plain_mlp") in (FAILS, OPEN):
         findings.append("some_baselines")
+    if verdict != HOLDS and some_hold and controls.get("equal_steps") in (FAILS, OPEN):
+        findings.append("some_epochs")
     if verdict == HOLDS and "equal_steps" in controls:
         findings.append("equal_steps" if controls["equal_steps"] == HOLDS else "counting_epochs")
     if controls.get("without_generator") == HOLDS:

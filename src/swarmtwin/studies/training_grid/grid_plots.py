@@ -225,7 +225,7 @@ def _draw_line(panel: Axes, line: pd.DataFrame, x: str, label: str, look: Mappin
 
 def _transitions(points: pd.DataFrame, x: str) -> pd.Series | float:
     """Return by what a field counted in multiples of all real transitions becomes a number of them."""
-    return points.real_transitions / points.real if x in ("size", "real", "synthetic") else 1.0
+    return points.all_real if x in ("size", "real", "synthetic") else 1.0
 
 
 def heat_map_figure(table: pd.DataFrame, title: str, place: str = "other_vehicle") -> Figure:
@@ -262,8 +262,7 @@ def heat_map_figure(table: pd.DataFrame, title: str, place: str = "other_vehicle
 def _heat_map(own: pd.DataFrame, generator: str) -> pd.DataFrame:
     """Return errors by number of real transitions, in rows, and of drawn ones, in columns."""
     drawn = own[(own.generator == generator) & (own.equal == "steps")]
-    count = drawn.real_transitions / drawn.real
-    by_drawn = drawn.assign(drawn=(drawn.synthetic * count).round().astype(int))
+    by_drawn = drawn.assign(drawn=(drawn.synthetic * drawn.all_real).round().astype(int))
     grid = by_drawn.pivot_table(index="real_transitions", columns="drawn", values="position_mm", dropna=False)
     measured = own[(own.generator == "") & (own.equal == "steps") & own.model.isin(set(drawn.model))]
     alone = measured.set_index("real_transitions").position_mm

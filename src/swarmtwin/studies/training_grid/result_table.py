@@ -46,7 +46,8 @@ def training_rows(
     """Return a training's rows of table.csv, one a recording: figures are means over live seeds.
 
     Columns:
-        title, and all fields of the training; real_transitions: how many it, or its generator, was given.
+        title, and all fields of the training; all_real: how many real transitions there are; real_transitions: how
+            many of them it, or its generator, was given.
         epochs, steps, learned_from: of the first live seed.
         seeds, dead_seeds, dead_because.
         *_mm, *_deg: over transitions; *_over_seeds: standard deviation over seeds; *_sd_*: over transitions.
@@ -60,6 +61,7 @@ def training_rows(
         **training.model_dump(),
         "size": training.size,
         "measured_share": training.measured_share,
+        "all_real": real,
         "real_transitions": round(training.real * real),
         "epochs": live.epochs,
         "steps": live.steps,
