@@ -1,6 +1,7 @@
 """Tables 1 to 4 and figures 7 to 13 as commands: nothing is trained twice, and findings are made of what they left."""
 
 import json
+import shutil
 
 import pandas as pd
 import pytest
@@ -74,6 +75,8 @@ def test_an_interrupted_experiment_goes_on_and_another_takes_what_is_there(swarm
         assert f"![{name}.png]({name}.png)" in report
         assert (workshop / "all" / name / f"{name}.png").exists()
 
+    (workshop / "all" / ".table2.partial").mkdir()
+    shutil.copy(workshop / "all" / "table1" / "provenance.json", workshop / "all" / ".table2.partial")
     answer = swarmtwin("experiment", "name=findings", "folder=all", "output=page")
     assert answer.status == 0, answer.error
     page = (workshop / "page" / "findings.md").read_text()

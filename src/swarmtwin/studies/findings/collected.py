@@ -38,7 +38,10 @@ def collect(parent: Path) -> list[Collected]:
     Raises:
         UserError: there is none, or what one left is damaged.
     """
-    found = [_collected(file.parent) for file in sorted(parent.glob(f"*/{PROVENANCE}")) if _is_grid(file.parent)]
+    folders = [
+        file.parent for file in sorted(parent.glob(f"[!.]*/{PROVENANCE}"))
+    ]  # what is not finished begins with a dot
+    found = [_collected(folder) for folder in folders if _is_grid(folder)]
     if not found:
         raise UserError(
             f"{parent} holds no output of an experiment on trainings: run `swarmtwin experiment name=table1 "

@@ -35,7 +35,7 @@ def page_text(
     parts += ["## How little real data is enough", *_enough(collected)]
     parts += ["## What knowing the previous commands gains", *_gains(gains)]
     parts += ["## How far the stand-ins are from the paper's robots", *_distances(distances)]
-    parts += ["## What this rests on", _rests_on(collected).markdown().strip()]
+    parts += ["## What this rests on", _without_heading(_rests_on(collected))]
     parts += [f"![{caption}]({name})" for name, caption in pictures.items()]
     return "\n\n".join(parts) + "\n"
 
@@ -56,13 +56,14 @@ def _controlled(claim: JudgedClaim) -> str:
 
 
 def _opening(collected: Sequence[Collected]) -> str:
-    claims = [claim for one in collected for claim in one.summary.claims]
+    claims = [claim for one in collected for claim in one.summary.claims if not claim.ours]
     counts = {verdict: sum(claim.judged.verdict == verdict for claim in claims) for verdict in (HOLDS, FAILS, OPEN)}
     held = [claim for claim in claims if claim.judged.verdict == HOLDS]
     owed = sum(bool({"weak_baselines", "counting_epochs"} & set(claim.findings)) for claim in held)
     return (
-        f"Of {len(claims)} claims, {counts[HOLDS]} hold on our data, {counts[FAILS]} do not, and of {counts[OPEN]} it "
-        f"cannot be told. Of those that hold, {owed} rest on weak baselines or on counting epochs instead of steps. "
+        f"Claims of the paper looked at: {len(claims)}. On our data hold: {counts[HOLDS]}; do not hold: {counts[FAILS]}; "
+        f"cannot be told: {counts[OPEN]}. Of those that hold, {owed} owed to weak baselines or to counting epochs instead "
+        "of steps. "
         "A claim holds where the whole 95 % interval of each of its comparisons speaks for it."
     )
 
@@ -109,7 +110,7 @@ def _gains(gains: Sequence[FloorGain]) -> Iterator[str]:
         for gain in gains
     ]
     headings = ("robot", "measured on", "position floor, mm", "less", "orientation floor, °", "less")
-    yield StudyTable("Floors, given the command and given the history", headings, rows).markdown().strip()
+    yield _without_heading(StudyTable("", headings, rows))
     yield "What a model with the history makes of it stands among the claims."
 
 
@@ -135,10 +136,14 @@ def _distances(distances: Sequence[PaperDistance]) -> Iterator[str]:
         "measured on",
         "error",
         "figures",
-        "ours × the paper's: median (range)",
+        "ours as a share of the paper's: median (range)",
         "rank correlation",
     )
-    yield StudyTable("Ours as a share of the paper's", headings, rows).markdown().strip()
+    yield _without_heading(StudyTable("", headings, rows))
+
+
+def _without_heading(table: StudyTable) -> str:
+    return table.markdown().partition("\n")[2].strip()
 
 
 def _rests_on(collected: Sequence[Collected]) -> StudyTable:

@@ -98,11 +98,13 @@ class Claim(Comparisons):
     Attributes:
         says: the sentence, in our words.
         where: in the paper.
+        ours: whether it is no claim of the paper's, but what its comparison lacks.
         controls: what the paper did not compare, by what is controlled for.
     """
 
     says: str
     where: str
+    ours: bool = False
     controls: dict[ControlKind, Comparisons] = Field(default_factory=dict)
 
 
@@ -141,6 +143,7 @@ class JudgedClaim(StrictModel):
     Attributes:
         says: the claim.
         where: in the paper.
+        ours: whether it is no claim of the paper's.
         judged: the paper's own comparisons.
         controls: those that it lacks.
         findings: what follows from both.
@@ -148,6 +151,7 @@ class JudgedClaim(StrictModel):
 
     says: str
     where: str
+    ours: bool = False
     judged: Judged
     controls: dict[ControlKind, Judged]
     findings: tuple[Finding, ...]
@@ -178,7 +182,9 @@ def judge(claim: Claim, errors: Errors, real: int, judging: Judging) -> JudgedCl
     controls = {kind: control for kind, control in found.items() if control.compared}
     some_hold = any(one.verdict == HOLDS for one in judged.compared)
     findings = conclude(judged.verdict, {kind: control.verdict for kind, control in controls.items()}, some_hold)
-    return JudgedClaim(says=claim.says, where=claim.where, judged=judged, controls=controls, findings=findings)
+    return JudgedClaim(
+        says=claim.says, where=claim.where, ours=claim.ours, judged=judged, controls=controls, findings=findings
+    )
 
 
 def conclude(verdict: Verdict, controls: Mapping[ControlKind, Verdict], some_hold: bool = False) -> tuple[Finding, ...]:
