@@ -61,10 +61,10 @@ def _opening(collected: Sequence[Collected]) -> str:
     held = [claim for claim in claims if claim.judged.verdict == HOLDS]
     owed = sum(bool({"weak_baselines", "counting_epochs"} & set(claim.findings)) for claim in held)
     return (
-        f"Claims of the paper looked at: {len(claims)}. On our data hold: {counts[HOLDS]}; do not hold: {counts[FAILS]}; "
-        f"cannot be told: {counts[OPEN]}. Of those that hold, {owed} owed to weak baselines or to counting epochs instead "
-        "of steps. "
-        "A claim holds where the whole 95 % interval of each of its comparisons speaks for it."
+        f"Claims of the paper looked at: {len(claims)}. Of these hold on our data: {counts[HOLDS]}; do not hold: "
+        f"{counts[FAILS]}; cannot be told: {counts[OPEN]}. Of those that hold, owed to weak baselines or to counting "
+        f"epochs instead of steps: {owed}. A claim holds where the whole 95 % interval of each of its comparisons speaks "
+        "for it."
     )
 
 
