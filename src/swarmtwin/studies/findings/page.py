@@ -63,8 +63,8 @@ def _opening(collected: Sequence[Collected]) -> str:
     return (
         f"Claims of the paper looked at: {len(claims)}. Of these hold on our data: {counts[HOLDS]}; do not hold: "
         f"{counts[FAILS]}; cannot be told: {counts[OPEN]}. Of those that hold, owed to weak baselines or to counting "
-        f"epochs instead of steps: {owed}. A claim holds where the whole 95 % interval of each of its comparisons speaks "
-        "for it."
+        f"epochs instead of steps: {owed}. A claim holds where the whole 95 % interval of each of its comparisons "
+        "speaks for it."
     )
 
 
