@@ -26,7 +26,8 @@ from swarmtwin.studies.training_grid.grid_data import (
 from swarmtwin.studies.training_grid.grid_plots import curve_figure, dots_figure, heat_map_figure
 from swarmtwin.studies.training_grid.measured_errors import RunErrors
 from swarmtwin.studies.training_grid.options import Options
-from swarmtwin.studies.training_grid.result_table import brief_table, read_table, shown_table
+from swarmtwin.studies.training_grid.result_table import brief_table, shown_table
+from swarmtwin.studies.training_grid.table_file import read_table
 from swarmtwin.studies.training_grid.training_store import key_of
 from swarmtwin.studies.training_grid.trainings import Grid, Training, all_trainings, chosen
 from swarmtwin.transitions import SPLITS, Fractions, Preparation

@@ -11,8 +11,8 @@ import pandas as pd
 from swarmtwin.errors import UserError
 from swarmtwin.files import PROVENANCE, read_provenance
 from swarmtwin.robot import StrictModel
-from swarmtwin.studies.training_grid.result_table import read_table
 from swarmtwin.studies.training_grid.summary import Summary
+from swarmtwin.studies.training_grid.table_file import read_table
 
 
 @dataclass(frozen=True)

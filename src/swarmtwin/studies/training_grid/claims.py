@@ -17,7 +17,8 @@ from swarmtwin.studies.training_grid.comparison import (
     compare,
     overall,
 )
-from swarmtwin.studies.training_grid.measured_errors import Quantity, RunErrors
+from swarmtwin.studies.training_grid.measured_errors import RunErrors
+from swarmtwin.studies.training_grid.table_file import Quantity
 from swarmtwin.studies.training_grid.trainings import FieldName, Selector, Training, chosen
 
 ControlKind = Literal["plain_mlp", "equal_steps", "without_generator", "other_generator"]

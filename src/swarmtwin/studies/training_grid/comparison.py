@@ -6,7 +6,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from swarmtwin.robot import Positive, StrictModel
-from swarmtwin.studies.training_grid.measured_errors import Quantity, RunErrors
+from swarmtwin.studies.training_grid.measured_errors import RunErrors
+from swarmtwin.studies.training_grid.table_file import Quantity
 
 Relation = Literal["better", "not_worse", "not_better"]
 Verdict = Literal["holds", "does not hold", "cannot be told"]

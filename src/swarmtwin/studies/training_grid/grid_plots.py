@@ -15,8 +15,7 @@ from swarmtwin.files import read_provenance
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.simulation.open_loop_storage import load_open_loop
 from swarmtwin.studies.reality_gap.gap_plots import open_loop_figure
-from swarmtwin.studies.training_grid.measured_errors import TITLES
-from swarmtwin.studies.training_grid.result_table import read_table
+from swarmtwin.studies.training_grid.table_file import TITLES, read_table
 
 AXES = {
     "size": "transitions learned from",

@@ -1,7 +1,5 @@
 """How a trained model measures on a recording: its errors run by run, which intervals are made of, and in all."""
 
-from typing import Literal
-
 import numpy as np
 import pandas as pd
 
@@ -9,14 +7,7 @@ from swarmtwin.geometry import orientation_error_rad, position_error_mm
 from swarmtwin.robot import StrictModel
 from swarmtwin.simulation.evaluation import Measurement
 from swarmtwin.simulation.open_loop import OpenLoop
-
-Quantity = Literal["position_mm", "orientation_deg", "open_loop_mm"]
-
-TITLES: dict[Quantity, str] = {
-    "position_mm": "position error, mm",
-    "orientation_deg": "orientation error, °",
-    "open_loop_mm": "open-loop RMSE, mm",
-}
+from swarmtwin.studies.training_grid.table_file import Quantity
 
 
 class RunErrors(StrictModel):

@@ -102,12 +102,6 @@ def _stated(published: Sequence[Published], recording: str) -> dict[str, float]:
     return row
 
 
-def read_table(file: Any) -> pd.DataFrame:
-    """Read table.csv; what learns from measured transitions has no generator, which is an empty text."""
-    table = pd.read_csv(file, dtype={"generator": str, "dead_because": str})
-    return table.assign(generator=table.generator.fillna(""), dead_because=table.dead_because.fillna(""))
-
-
 def shown_table(table: pd.DataFrame, title: str) -> StudyTable:
     """Return the table that a person reads: the floors, then each training with the paper's figures beneath it."""
     recordings = list(dict.fromkeys(table.recording))

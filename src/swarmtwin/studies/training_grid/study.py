@@ -26,8 +26,9 @@ from swarmtwin.studies.training_grid.grid_data import GridData
 from swarmtwin.studies.training_grid.grid_plots import draw_grid
 from swarmtwin.studies.training_grid.options import Options
 from swarmtwin.studies.training_grid.report import report_text
-from swarmtwin.studies.training_grid.result_table import brief_table, read_table, shown_table, training_rows
+from swarmtwin.studies.training_grid.result_table import brief_table, shown_table, training_rows
 from swarmtwin.studies.training_grid.summary import Summary, summarise
+from swarmtwin.studies.training_grid.table_file import read_table
 from swarmtwin.studies.training_grid.training_jobs import GeneratorJob, MeasuredTrainingJob, planned_jobs
 from swarmtwin.studies.training_grid.training_store import TrainingStore
 from swarmtwin.studies.training_grid.trainings import Training
