@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from swarmtwin.commands.app import run_command
@@ -103,3 +104,23 @@ def test_the_learned_model_predicts_positions_better_than_the_plain_unicycle_on_
 def test_robots_of_which_nothing_was_learned_count_in_all_their_runs(measured):
     runs = {name: part["open_loop"]["runs"] for name, part in measured["mlp"]["vehicles"].items()}
     assert runs == {"2": 30, "3": 30, "4": 30, "5": 30}
+
+
+def test_tables_of_the_paper_are_made_of_one_robot_measured_on_the_four_others(workplace, monkeypatch):
+    monkeypatch.chdir(workplace)
+    vehicles = ("train_vehicle=recording", "train_vehicles=1", "other_vehicle=recording", "other_vehicles=[2,3,4,5]")
+    quick = (
+        "models=[mlp]",
+        "generators=[]",
+        "recipe.batch_size=256",
+        "scale.steps=100",
+        "scale.seeds=2",
+        "processes=1",
+    )
+    call("experiment", "name=table1", "robot=create", *vehicles, *quick, "pictures=false", "output=table1")
+    table = pd.read_csv("table1/table.csv").set_index(["title", "recording"])
+    assert table.transitions["mlp-R", "other_vehicle"] > 4 * 1500
+    assert table.transitions["mlp-R", "train_vehicle"] < 1500 / 4  # held-out blocks of the vehicle learned from
+    assert table.floor_command_kind["mlp-R", "other_vehicle"] == "nearest_neighbours"
+    assert (table.position_mm < 6).all()
+    assert "paper_position_mm" not in table

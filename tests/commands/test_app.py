@@ -4,6 +4,7 @@ import importlib
 import signal
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import hydra
@@ -13,7 +14,7 @@ from omegaconf import OmegaConf
 from swarmtwin import commands
 from swarmtwin.commands.app import run_command
 from swarmtwin.commands.catalogue import COMMANDS
-from swarmtwin.commands.experiment import studies
+from swarmtwin.commands.experiment import experiments, study_module
 from swarmtwin.commands.inputs import INPUTS
 from swarmtwin.configuration import config_folder
 
@@ -184,10 +185,13 @@ def test_an_unknown_command_names_the_one_meant():
     assert answer.stderr.startswith("swarmtwin: unknown command 'trian': did you mean 'train'?")
 
 
-def test_each_study_is_one_folder_and_one_configuration():
+def test_each_experiment_is_one_configuration_and_no_study_is_without():
     configured = {path.stem for path in (config_folder() / "experiment").glob("*.yaml")}
-    assert set(studies()) == configured
+    assert set(experiments()) == configured
     assert "dynamics" in configured
+    folder = Path(str(files("swarmtwin.studies")))
+    made = {f"swarmtwin.studies.{file.parent.name}.study" for file in folder.glob("*/study.py")}
+    assert {study_module(name) for name in configured} == made
 
 
 def test_each_command_of_the_table_is_a_module_and_none_is_forgotten():
@@ -202,8 +206,8 @@ def primary_configs():
     for name, command in COMMANDS.items():
         if name != "experiment":
             yield name, name, f"swarmtwin.commands.{command.module}"
-    for name in studies():
-        yield f"experiment-{name}", f"experiment/{name}", f"swarmtwin.studies.{name}.study"
+    for name in experiments():
+        yield f"experiment-{name}", f"experiment/{name}", study_module(name)
 
 
 @pytest.mark.parametrize(("config", "module"), [pytest.param(c, m, id=i) for i, c, m in primary_configs()])
@@ -221,6 +225,7 @@ def test_every_command_has_a_configuration_that_its_options_accept(config, modul
         "generators",
         "artifacts",
         "commands",
+        "store",
     }  # made where they are missing; looked at robot by robot
     assert paths - {"output"} - looked_at_otherwise <= INPUTS.keys()
 

@@ -11,11 +11,11 @@ from rich.console import Console
 
 from swarmtwin.commands.app import run_command
 from swarmtwin.commands.catalogue import COMMANDS
-from swarmtwin.commands.experiment import studies
+from swarmtwin.commands.experiment import experiments
 from swarmtwin.commands.option_help import ConfigFile, show_help
 from swarmtwin.configuration import config_files, config_folder
 
-NAMES = [*(name for name in COMMANDS if name != "experiment"), *(f"experiment/{study}" for study in studies())]
+NAMES = [*(name for name in COMMANDS if name != "experiment"), *(f"experiment/{study}" for study in experiments())]
 HEAVY = {"torch", "lightning", "mlflow", "pandas", "scipy", "matplotlib"}
 
 
@@ -27,7 +27,9 @@ def test_every_option_of_a_command_has_a_sentence(name):
     assert not [path for path in silent if not path.rpartition(".")[0]], silent
 
 
-@pytest.mark.parametrize("group", ["model", "recipe", "trainer", "split", "policy", "generator", "robot", "task"])
+@pytest.mark.parametrize(
+    "group", ["model", "recipe", "trainer", "split", "policy", "generator", "robot", "task", "training_grid"]
+)
 def test_every_field_of_a_choice_has_a_sentence(group):
     for file in config_files(group).values():
         fields = [one for one in ConfigFile.read(file).options if "." not in one.name and one.name != "name"]

@@ -8,13 +8,13 @@ import pytest
 from rich.console import Console
 
 from swarmtwin.commands.catalogue import COMMANDS, Ranking
-from swarmtwin.commands.experiment import studies
+from swarmtwin.commands.experiment import experiments, study_module
 from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
 
 SOURCE = Path(str(files("swarmtwin")))
 MODULES = [
     *(f"commands/{command.module}.py" for name, command in COMMANDS.items() if name != "experiment"),
-    *(f"studies/{study}/study.py" for study in studies()),
+    *sorted({f"{study_module(name).removeprefix('swarmtwin.').replace('.', '/')}.py" for name in experiments()}),
 ]
 ERRORS = Ranking(("position_mm", "orientation_deg"))
 

@@ -28,7 +28,7 @@ from rich.console import Console
 
 from swarmtwin import __version__
 from swarmtwin.commands.catalogue import COMMANDS
-from swarmtwin.commands.experiment import chosen_studies, studies
+from swarmtwin.commands.experiment import chosen_experiments, experiments, study_module
 from swarmtwin.commands.option_help import show_help
 from swarmtwin.commands.option_mistakes import check_overrides, explain
 from swarmtwin.commands.outside_config import check_outside_configs
@@ -66,9 +66,9 @@ def run_command(name: str, arguments: list[str]) -> Status:
         let_hydra_find_plugins()
         check_overrides(arguments)
         check_outside_configs(arguments)
-        chosen = chosen_studies(arguments) if name == "experiment" else [""]
+        chosen = chosen_experiments(arguments) if name == "experiment" else [""]
         if not chosen:
-            print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(studies())}")
+            print(f"swarmtwin experiment name=NAME [--help], where NAME is one of: {', '.join(experiments())}")
         elif {"--help", "-h"} & set(arguments):
             title = " ".join([name, *(f"name={study}" for study in chosen[:1] if study)])
             show_help(title, f"experiment/{chosen[0]}" if chosen[0] else name, arguments)
@@ -103,7 +103,7 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
             for number, study in enumerate(chosen):
                 config_name, module_name = name, f"swarmtwin.commands.{COMMANDS[name].module}"
                 if study:
-                    config_name, module_name = f"experiment/{study}", f"swarmtwin.studies.{study}.study"
+                    config_name, module_name = f"experiment/{study}", study_module(study)
                     others = [argument for argument in arguments if not argument.startswith("name=")]
                     sys.argv[1:] = [*others, f"name={study}"]
                 try:

@@ -1,25 +1,35 @@
-"""`swarmtwin experiment name=NAME`: a study, each of them one folder in studies/ and one file in conf/experiment/."""
+"""`swarmtwin experiment name=NAME`: a file in conf/experiment/, computed by the study, a folder in studies/.
+
+The study has the experiment's name, unless the file names another (`study: training_grid`): several experiments may be
+views of one study.
+"""
 
 from collections.abc import Sequence
-from importlib.resources import files
-from pathlib import Path
 
+import yaml
+
+from swarmtwin.configuration import config_files
 from swarmtwin.errors import UserError, near_miss
 
 
-def studies() -> list[str]:
-    """Return the names of the studies: the folders of `swarmtwin.studies` that hold a module `study`."""
-    folder = Path(str(files("swarmtwin.studies")))
-    return sorted(file.parent.name for file in folder.glob("*/study.py"))
+def experiments() -> list[str]:
+    """Return the names of all experiments: the files in conf/experiment/, here and beside the user's plug-ins."""
+    return sorted(config_files("experiment"))
 
 
-def chosen_studies(arguments: Sequence[str]) -> list[str]:
-    """Return the study that `name=...` chooses, or the several of a sweep; none where only help is asked for.
+def study_module(experiment: str) -> str:
+    """Return the module that computes an experiment."""
+    content = yaml.safe_load(config_files("experiment")[experiment].read_text())
+    return f"swarmtwin.studies.{content.get('study', experiment)}.study"
+
+
+def chosen_experiments(arguments: Sequence[str]) -> list[str]:
+    """Return the experiment that `name=...` chooses, or the several of a sweep; none where only help is asked for.
 
     Raises:
-        UserError: none is chosen, there is no such study, or several are chosen without `-m`.
+        UserError: none is chosen, there is no such experiment, or several are chosen without `-m`.
     """
-    known = studies()
+    known = experiments()
     given = [argument for argument in arguments if argument.startswith("name=")]
     if not given:
         if "--help" in arguments:

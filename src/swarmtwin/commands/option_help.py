@@ -59,9 +59,15 @@ def _options(lines: Sequence[str]) -> list[Option]:
     found: list[Option] = []
     parents: list[tuple[int, str]] = []
     above, column = "", -1  # comments since the last entry, and where the one after it begins
+    item = None  # where the dash of a list stands that the lines are in: what an item is made of is no option
     for line in lines:
-        if entry := _ENTRY.match(line):
+        if line.lstrip().startswith("- "):
+            item = line.index("-")
+        elif entry := _ENTRY.match(line):
             indent = len(entry["indent"])
+            if item is not None and indent > item:
+                continue
+            item = None
             parents = [(depth, name) for depth, name in parents if depth < indent]
             parents.append((indent, entry["key"]))
             sentence = f"{above} {entry['sentence'] or ''}".strip()
@@ -100,7 +106,7 @@ def show_help(command: str, config_name: str, arguments: Sequence[str], console:
         if file := config_files(group).get(choice):
             part = ConfigFile.read(file)
             console.print(f"{name}={choice}: {part.summary}")
-            console.print(_option_columns(part.options, f"{package or group}."))
+            console.print(_option_columns(part.options, "" if package == "_global_" else f"{package or group}."))
     console.print("A sweep is -m option=a,b,c, one run each. --cfg job prints the whole configuration.")
 
 

@@ -1,39 +1,12 @@
 """The tables of the study, for the terminal and for its report.md alike."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 from typing import Any
 
-from rich import box
-from rich.table import Table
-
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, Proportion
+from swarmtwin.studies.study_table import StudyTable
 
 Families = dict[str, dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class StudyTable:
-    """R rows of C cells, the first column a name, for the terminal and for a text file."""
-
-    title: str
-    headings: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-    def drawn(self) -> Table:
-        """Return it for the terminal."""
-        table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=self.title, title_justify="left")
-        for number, heading in enumerate(self.headings):
-            table.add_column(heading, justify="right" if number else "left", no_wrap=not number)
-        for row in self.rows:
-            table.add_row(*row)
-        return table
-
-    def markdown(self) -> str:
-        """Return it for a text file."""
-        lines = [self.headings, ["---", *["---:"] * (len(self.headings) - 1)], *self.rows]
-        cells = "\n".join("| " + " | ".join(row) + " |" for row in lines)
-        return f"## {self.title}\n\n{cells}\n"
 
 
 def study_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:

@@ -18,6 +18,7 @@ from swarmtwin.simulation.evaluation_plots import draw_evaluation
 from swarmtwin.studies.dynamics.comparison_plots import draw_comparison
 from swarmtwin.studies.reality_gap.gap_plots import draw_gaps
 from swarmtwin.studies.synthetic.error_plots import draw_cases
+from swarmtwin.studies.training_grid.grid_plots import draw_grid
 from swarmtwin.studies.transfer.transfer_plots import draw_transfer
 from swarmtwin.tracking.runs import keep_with_run
 from swarmtwin.transitions.displacement_plots import draw_preparation
@@ -35,6 +36,7 @@ DRAWINGS: dict[str, Callable[[Path, Path], None]] = {
     "experiment transfer": draw_transfer,
     "experiment table5": draw_gaps,
     "experiment table6": draw_gaps,
+    "experiment training_grid": draw_grid,
 }
 """What draws the output of a command; each is given that folder and one to draw into."""
 
@@ -79,7 +81,7 @@ def _made_folders(folder: Path) -> list[Path]:
 def _drawing(folder: Path) -> Callable[[Path, Path], None]:
     """Return what draws a folder, by the command that made it."""
     command, options = read_provenance(folder)
-    made_by = f"experiment {options['name']}" if command == "experiment" else command
+    made_by = f"experiment {options.get('study', options['name'])}" if command == "experiment" else command
     if made_by not in DRAWINGS:
         raise UserError(f"{folder} was made by swarmtwin {made_by}, of which there are no pictures: leave it out")
     return DRAWINGS[made_by]

@@ -13,15 +13,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
-import torch
 from pydantic import BeforeValidator, Field
 from rich.console import Console
 from rich.progress import Progress
 
 from swarmtwin.dynamics.model_config import model_config
-from swarmtwin.dynamics.predictor import NetworkDynamics
-from swarmtwin.dynamics.trained_folder import provenance_of
-from swarmtwin.dynamics.training import SeedResult, Trained, TrainingJob, train_seeds
+from swarmtwin.dynamics.training import TrainingJob, train_seeds
 from swarmtwin.files import new_folder, write_text
 from swarmtwin.generators.generator import generator_config
 from swarmtwin.learning.recipe import Recipe
@@ -35,15 +32,14 @@ from swarmtwin.studies.synthetic.table import ERRORS, case_table
 from swarmtwin.studies.synthetic.trainings import (
     Amount,
     Case,
-    TrainedModel,
     Training,
     TrainingSets,
     chosen_cases,
     trained_before,
 )
 from swarmtwin.studies.tracked_inputs import recording_input, split_inputs
+from swarmtwin.studies.training_sets import TrainedModel, trained_model
 from swarmtwin.tracking.runs import tracked_run
-from swarmtwin.transitions import Preparation
 from swarmtwin.transitions.inputs import as_texts, prepared_transitions
 from swarmtwin.transitions.mixing import Prepared
 
@@ -175,14 +171,7 @@ def _models(trainings: Sequence[Training], folders: Sequence[Path]) -> Iterator[
         task = bars.add_task(f"{len(jobs)} trainings", total=sum(job.recipe.epochs or 0 for job in jobs))
         results = iter(train_seeds(jobs, lambda *_: bars.advance(task), None))
     for each, model in zip(wanted, found, strict=True):
-        yield model or _trained(*each, next(results))
-
-
-def _trained(job: TrainingJob, preparation: Preparation, result: SeedResult) -> TrainedModel:
-    weights = {name: torch.from_numpy(values) for name, values in result.weights.items()}
-    dynamics = NetworkDynamics.with_weights(job.transitions.robot, job.config, weights)
-    provenance = provenance_of(Trained(dynamics, result.seed, job.recipe, (result,)), preparation)
-    return TrainedModel(result.seed, None if result.dead else dynamics, provenance, result.dead)
+        yield model or trained_model(*each, next(results))
 
 
 def _rows(outcome: Outcome) -> list[dict[str, Any]]:

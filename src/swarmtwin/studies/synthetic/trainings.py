@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from swarmtwin.dynamics.model_folder import MODEL_FOLDER, load_dynamics, read_description
-from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.training import TrainingJob
 from swarmtwin.errors import UserError, near_miss
@@ -16,8 +15,8 @@ from swarmtwin.generators.generator_folder import DESCRIPTION, Lineage, load_gen
 from swarmtwin.generators.sampling import draw_believable
 from swarmtwin.generators.training import fit
 from swarmtwin.robot import Robot
+from swarmtwin.studies.training_sets import TrainedModel, count_real, described_part
 from swarmtwin.transitions import Preparation, Transitions, first_runs, mix
-from swarmtwin.transitions.preparation import counts_by_split, runs_by_split
 
 Amount = Literal["all", "part", "few"]
 Prepared = tuple[Transitions, Preparation]
@@ -133,14 +132,12 @@ class TrainingSets:
     @property
     def _real_count(self) -> int:
         """How many real transitions there are, training and validation together."""
-        return sum(self.real[1].transitions[split] for split in ("train", "validation"))
+        return count_real(self.real[1])
 
     def _real_part(self, amount: Amount) -> Prepared:
         if amount == "all":
             return self.real
-        part = first_runs(self.real[0], self.less[amount])
-        changes: dict[str, Any] = {"runs": runs_by_split(part), "transitions": counts_by_split(part)}
-        return part, self.real[1].model_copy(update=changes)
+        return described_part(self.real[1], first_runs(self.real[0], self.less[amount]))
 
     def _synthetic(self, source: str, amount: Amount, count: int) -> Prepared:
         generator, lineage, digest = self._generator(source, amount)
@@ -198,23 +195,6 @@ class Training:
         if generator and self.case.source != "mixture":
             return generator.real_transitions
         return round(self.case.real_share * (counts["train"] + counts["validation"]))
-
-
-@dataclass(frozen=True)
-class TrainedModel:
-    """What came of one seed of a case.
-
-    Attributes:
-        seed: the seed.
-        dynamics: the model; None where the seed is dead.
-        provenance: where it comes from.
-        dead: why the seed cannot be used; None for a live one.
-    """
-
-    seed: int
-    dynamics: NetworkDynamics | None
-    provenance: Provenance
-    dead: str | None = None
 
 
 def trained_before(folders: Sequence[Path], job: TrainingJob, preparation: Preparation) -> TrainedModel | None:
