@@ -9,6 +9,7 @@ import yaml
 from omegaconf import OmegaConf
 
 from swarmtwin.commands.catalogue import COMMANDS
+from swarmtwin.commands.experiment import study_module
 from swarmtwin.dynamics.evaluation import predict
 from swarmtwin.dynamics.model_config import model_config
 from swarmtwin.dynamics.training import train
@@ -74,15 +75,20 @@ COMPOSED = (
 def options_class(config_name):
     """The typed options of a command, or of a study."""
     room, _, study = config_name.partition("/")
-    module = f"studies.{study}.study" if study else f"commands.{COMMANDS[room].module}"
-    return importlib.import_module(f"swarmtwin.{module}").Options
+    module = study_module(study) if study else f"swarmtwin.commands.{COMMANDS[room].module}"
+    return importlib.import_module(module).Options
+
+
+def named_groups_of(config_name):
+    """The folders of `conf/` from which a configuration takes a file, with `@` where it takes it elsewhere."""
+    defaults = yaml.safe_load((CONF / f"{config_name}.yaml").read_text()).get("defaults", [])
+    named = [next(iter(entry)).lstrip("/") for entry in defaults if isinstance(entry, dict)]
+    return [group for group in named if not group.startswith("override")]
 
 
 def groups_of(config_name):
     """The folders of `conf/` from which a configuration takes a file, and may take another."""
-    defaults = yaml.safe_load((CONF / f"{config_name}.yaml").read_text()).get("defaults", [])
-    named = [next(iter(entry)).lstrip("/") for entry in defaults if isinstance(entry, dict)]
-    return [group for group in named if not group.startswith("override") and "@" not in group]
+    return [group for group in named_groups_of(config_name) if "@" not in group]
 
 
 def compositions():
@@ -105,6 +111,6 @@ def test_every_file_composes_to_typed_options(config_name, chosen):
 
 
 def test_no_folder_is_forgotten():
-    """What lies in a folder is chosen from by some command; studies are chosen by their name."""
-    used = {group for config_name in COMPOSED for group in groups_of(config_name)}
-    assert {folder.name for folder in CONF.iterdir() if folder.is_dir()} - {"experiment"} <= used
+    """What lies in a folder is chosen from by some command; studies by their name, launchers by Hydra."""
+    used = {group.partition("@")[0] for config_name in COMPOSED for group in named_groups_of(config_name)}
+    assert {folder.name for folder in CONF.iterdir() if folder.is_dir()} - {"experiment", "hydra"} <= used
