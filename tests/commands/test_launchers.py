@@ -118,7 +118,7 @@ def test_a_sweep_by_a_glob_takes_every_choice_of_a_folder_of_ones_own(command, w
     ("line", "completed"),
     [
         ("swarmtwin tra", {"train", "track"}),
-        ("swarmtwin train model=cr", {"model=crnet"}),
+        ("swarmtwin train model=cr", {"model=crnet", "model=crnet_tuned"}),
         ("swarmtwin train robot=mgr recipe=pa", {"recipe=paper", "recipe=paper_mur"}),
         ("swarmtwin train model.drop", {"model.dropout="}),
         ("swarmtwin deploy safety.po", {"safety.pose_age_s="}),
@@ -140,7 +140,7 @@ def test_bash_completes_after_it_has_evaluated_the_script(command, workshop):
     _swarmtwin_completion; echo "${COMPREPLY[@]}" """
     path = {"PATH": f"{workshop}:{os.environ['PATH']}"}
     answer = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=os.environ | path)
-    assert answer.stdout.split() == ["model=crnet"], answer.stderr
+    assert answer.stdout.split() == ["model=crnet", "model=crnet_tuned"], answer.stderr
 
 
 def test_another_shell_is_refused_in_one_line(command):

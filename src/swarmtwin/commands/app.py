@@ -124,12 +124,18 @@ def _run_all(name: str, chosen: Sequence[str], arguments: list[str]) -> None:
 @contextlib.contextmanager
 def _folder_for_rows(arguments: Sequence[str]) -> Iterator[str]:
     """Give a folder for what the runs of a sweep come to, where all machines that they may run on can write."""
-    place = None
+    place, made = None, list[Path]()
     if {"-m", "--multirun"} & set(arguments):
         place = Path("outputs/sweeps").absolute()
+        made = [folder for folder in (place, place.parent) if not folder.exists()]
         place.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=place, prefix=".rows-", suffix=".partial") as folder:
-        yield folder
+    try:
+        with tempfile.TemporaryDirectory(dir=place, prefix=".rows-", suffix=".partial") as folder:
+            yield folder
+    finally:
+        for one in made:
+            with contextlib.suppress(OSError):  # something lies in it by now
+                one.rmdir()
 
 
 def _run_app(name: str, module_name: str, config_name: str, rows: Path) -> None:
