@@ -17,6 +17,6 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def commands(page: Path) -> list[list[str]]:
     """The calls of swarmtwin in a page's shell blocks: the arguments of each, comments and `...` left out."""
-    lines = [line for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()]
+    lines = [line.strip() for block in blocks(page, "sh") for line in block.replace("\\\n", " ").splitlines()]
     calls = [shlex.split(line, comments=True) for line in lines if line.startswith("swarmtwin ")]
     return [[argument for argument in call[1:] if argument != "..."] for call in calls]

@@ -11,11 +11,12 @@ import hydra
 import pytest
 import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Glob
 
 from documentation import DOCS, PAGES, README, REPOSITORY, blocks, commands
 from swarmtwin.commands.app import _spelled_out
 from swarmtwin.commands.catalogue import COMMANDS
-from swarmtwin.configuration import config_folder, let_hydra_find_plugins
+from swarmtwin.configuration import config_files, config_folder, let_hydra_find_plugins
 from swarmtwin.robot import Robot
 from test_outside import WAY
 from tiny_policies import robot_named, simulation
@@ -55,11 +56,13 @@ def test_the_robot_that_a_page_describes_can_be_read(rover):
 
 def first_of_a_sweep(argument):
     (override,) = OverridesParser.create().parse_overrides([argument])
-    return (
-        f"{override.key_or_group}={next(override.sweep_string_iterator())}"
-        if override.is_sweep_override()
-        else argument
+    if not override.is_sweep_override():
+        return argument
+    group, chosen = override.key_or_group, override.value()
+    values = (
+        chosen.filter(sorted(config_files(group))) if isinstance(chosen, Glob) else override.sweep_string_iterator()
     )
+    return f"{group}={next(iter(values))}"
 
 
 @pytest.mark.parametrize(
