@@ -4,19 +4,20 @@ Scikit-learn's histogram-based boosting fits them. What it finds is kept as arra
 numbers as every other one does, nothing pickled, and no scikit-learn is needed to predict.
 """
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
 from pydantic import Field
-from sklearn.ensemble import HistGradientBoostingRegressor
-from threadpoolctl import threadpool_limits
 from torch import Tensor, nn
 
 from swarmtwin.dynamics.model_config import FittedModelConfig, Steps
 from swarmtwin.learning.batches import Examples
 from swarmtwin.learning.encoding import ScalingMethod
 from swarmtwin.robot import Positive, Robot
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import HistGradientBoostingRegressor
 
 
 class BoostedTrees(nn.Module):
@@ -63,7 +64,7 @@ class BoostedTrees(nn.Module):
         total: Tensor = self.leaf_value[tree, -1 - at].reshape(len(values), 3, -1).sum(dim=-1) + self.usual
         return total
 
-    def take(self, component: int, fitted: HistGradientBoostingRegressor) -> None:
+    def take(self, component: int, fitted: "HistGradientBoostingRegressor") -> None:
         """Take over the trees that scikit-learn has grown for one component of the displacement."""
         first = component * len(self.feature) // 3
         with torch.no_grad():
@@ -112,6 +113,9 @@ class Config(FittedModelConfig):
 
     def fit(self, network: nn.Module, train: Examples, validation: Examples, seed: int) -> None:
         """Grow each component's trees on one thread, by least squares."""
+        from sklearn.ensemble import HistGradientBoostingRegressor  # for learning alone: robots' computers lack it
+        from threadpoolctl import threadpool_limits
+
         assert isinstance(network, BoostedTrees)
         (inputs, outputs), (asked, answers) = (
             tuple(part.double().numpy() for part in each) for each in (train, validation)
