@@ -113,8 +113,8 @@ def test_tables_of_the_paper_are_made_of_one_robot_measured_on_the_four_others(w
         "models=[mlp]",
         "generators=[]",
         "recipe.batch_size=256",
-        "scale.steps=100",
-        "scale.seeds=2",
+        "scales.quick.steps=100",
+        "scales.quick.seeds=2",
         "processes=1",
     )
     call("experiment", "name=table1", "robot=create", *vehicles, *quick, "pictures=false", "output=table1")
