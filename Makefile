@@ -7,13 +7,14 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compiled once, when it is first imported
 
-.PHONY: help setup run test claims benchmark lint docs audit ui data notebooks dependencies lock queue fuzz kill demo faults
+.PHONY: help setup run test claims benchmark lint docs paper audit ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
 	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
 	@echo "make lint       set up, check style and types"
+	@echo "make paper      the paper's tables and figures, for the documentation: about an hour"
 	@echo "make docs       set up, build the documentation into site/ and check its links"
 	@echo "make audit      a bill of all packages in the environment, and which of them are known to be vulnerable"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"
@@ -117,7 +118,11 @@ lint: setup
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+paper: setup  # what was broken off goes on
+	$(BIN)/dvc repro docs/results/dvc.yaml
+
 docs: .venv/docs  # a link, a section or a file that is not there is an error
+	$(BIN)/dvc pull --quiet docs/results/dvc.yaml
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "documentation: site/index.html"
 

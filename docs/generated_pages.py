@@ -20,6 +20,7 @@ from swarmtwin.commands.option_help import ConfigFile, Option
 REPOSITORY = Path(__file__).resolve().parents[1]
 CONF = REPOSITORY / "conf"
 PACKAGE = REPOSITORY / "src" / "swarmtwin"
+EXPERIMENTS = sorted((REPOSITORY / "docs" / "results" / "paper").glob("*/report.md"))  # fetched by `dvc pull docs/results`
 NOT_API = {"commands", "studies"}  # of the code: commands have pages of their own, studies are run and not imported
 
 
@@ -37,6 +38,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Append the generated pages to the navigation."""
     assert config.nav is not None
     config.nav += [
+        {"The paper's tables and figures": [_of_experiment(page) for page in sorted(EXPERIMENTS, key=_place)]},
         {"Notebooks": _entries(notebook_pages())},
         {
             "Reference": [
@@ -77,6 +79,18 @@ def on_page_markdown(markdown: str, **_: object) -> str:
 
 def _entries(pages: list[Page]) -> list[dict[str, str]]:
     return [{page.title: page.path} for page in pages]
+
+
+def _of_experiment(report: Path) -> dict[str, str]:
+    """Return the entry of a page that an experiment wrote, without the robot's name."""
+    title = report.read_text().partition("\n")[0].removeprefix("# ").partition(":")[0]
+    return {title: report.relative_to(REPOSITORY / "docs").as_posix()}
+
+
+def _place(report: Path) -> tuple[bool, int]:
+    """Say where a page stands: tables before figures, each by its number."""
+    name = report.parent.name
+    return name.startswith("figure"), int("".join(sign for sign in name if sign.isdigit()))
 
 
 def top_page(name: str, path: str) -> Page:

@@ -174,6 +174,42 @@ def each_run_its_own(factor, spread, seed):
     return moved
 
 
+def test_what_is_known_to_be_there_is_no_trait_of_a_vehicle_that_nobody_knows(robots):
+    """Of a swimmer that steers by a fin, whose trim may be another one: a drift stays a drift."""
+    base = ExactBase(robots["mur"])
+    session = session_of(base, np.random.default_rng(25), drifted(6.0, -4.0))
+    drift = mechanism_class("steady_drift").at({"x_mm_s": 6.0 / 0.8, "y_mm_s": -4.0 / 0.8})
+    alone = SessionLikelihood(base, known_noise(), session)
+    strange = SessionLikelihood(base, known_noise(), session, known_vehicles=("another",))
+    for model in (alone, strange):
+        explained = model.explained_by([drift])
+        assert explained.evaluate([drift]).total > explained.evaluate([]).total + 1000
+    found = understood(strange, [drift])
+    assert (abs(found.values - list(drift.values().values())) < 3 * np.sqrt(np.diag(found.covariance))).all()
+
+
+@pytest.mark.claims
+def test_the_place_of_an_edge_is_known_as_well_as_it_says(robots):
+    """A patch whose effect is not quite of the form that is fitted: on it all is slower by a share that swings."""
+    base, kind = ExactBase(robots["mgr"]), mechanism_class("surface_patch")
+    true = np.array([520.0, 480.0, 160.0])
+    away = []
+    for seed in range(12):
+        rng = np.random.default_rng(2000 + seed)
+
+        def moved(moment, rng=rng):
+            inside = (moment.pose[:, :2] - torch.as_tensor(true[:2])).norm(dim=1, keepdim=True) < true[2]
+            loss = torch.as_tensor(rng.normal(0.4, 0.2, (len(inside), 1)))
+            return exp_map(moment.way * torch.where(inside, 1 - loss, torch.ones_like(loss)))
+
+        model = SessionLikelihood(base, known_noise(), session_of(base, rng, moved))
+        begun = kind.at({"x_mm": 530.0, "y_mm": 470.0, "radius_mm": 170.0, "loss": 0.3})
+        first = estimate(model, [begun])
+        found = estimate(model.explained_by(first.mechanisms), first.mechanisms, polish=True, smooth=True)
+        away.append((found.values[:3] - true) / np.sqrt(np.diag(found.covariance))[:3])
+    assert np.sqrt(np.mean(np.square(away))) < 1.6, away
+
+
 @pytest.mark.claims
 @pytest.mark.parametrize("run_spread", [0.0, 0.03])
 def test_intervals_cover_as_often_as_they_say_also_where_runs_differ(robots, run_spread):

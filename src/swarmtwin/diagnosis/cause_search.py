@@ -162,10 +162,20 @@ class CauseSearch:
         return self.fitted[key]
 
     def _drop_one(self) -> None:
-        """Fit what is left of the best set when single causes are taken out of it."""
-        best = max(self.fitted.values(), key=self.score)
-        for name in best.names:
-            self._fit([one for one in best.mechanisms if one.name != name])
+        """Fit what is left of the best set when single causes are taken out of it, until none of that is better.
+
+        It is fitted anew from the best set's values where it was fitted before: from a coarse grid it may have ended
+        elsewhere, and another cause then seemed to be needed.
+        """
+        while True:
+            best = max(self.fitted.values(), key=self.score)
+            for name in best.names:
+                left = [one for one in best.mechanisms if one.name != name]
+                key, again = frozenset(type(one) for one in left), estimate(self.model, left, polish=True)
+                if key not in self.fitted or self.score(again) > self.score(self.fitted[key]):
+                    self.fitted[key] = again
+            if max(self.fitted.values(), key=self.score) is best:
+                return
 
     def _posterior(self, nothing: EstimatedSet) -> CausePosterior:
         ordered = sorted(self.fitted.values(), key=self.score, reverse=True)

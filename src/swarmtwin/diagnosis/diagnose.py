@@ -5,7 +5,7 @@
 2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
-   them leaves (`left_over`).
+   them leaves (`left_over`, `error_history`).
 4. Finding: causes as they are reported and the leading sets, gains on held-out runs, the smallest effects that the
    session would have shown, the next recording (`cause_report`, `gains`, `detection_limits` with `sized_causes` and
    `random_limits`, `next_recording`, `result`; pictures in `report/`).
@@ -21,9 +21,10 @@ from swarmtwin.diagnosis.cause_report import leading_sets, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
 from swarmtwin.diagnosis.detection_limits import detection_limits
+from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
-from swarmtwin.diagnosis.left_over import Explanation, explanation
+from swarmtwin.diagnosis.left_over import Explanation, Usual, explanation
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.next_recording import next_recording
@@ -65,7 +66,7 @@ def diagnose(
 
     # 3. Causes
     found = find_causes(reference, model, progress)
-    explained = explanation(model, found, lambda: usual_noise_log(reference))
+    explained = explanation(model, found, usual_of(reference))
 
     # 4. Finding
     _tell(progress, "what is left")
@@ -167,9 +168,17 @@ def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> flo
     return float(estimate(own, [lossy[0].at(points[0])]).values[0])
 
 
-def usual_noise_log(reference: Reference) -> float:
-    """Return by which factor the reference's own motion is as random as its noise says, its log, measured likewise."""
-    return reference.own_likelihood(reference.settings.search.most_transitions).motion_noise_log()[0]
+def usual_of(reference: Reference) -> Usual:
+    """Return what the reference's own motion and errors show, measured as those of a session are."""
+
+    def own() -> SessionLikelihood:
+        return reference.own_likelihood(reference.settings.search.most_transitions)
+
+    def history_nats() -> float:
+        model = own()
+        return max(nats_by_history(model, model.evaluate([])), 0.0) / len(model.session)
+
+    return Usual(lambda: own().motion_noise_log()[0], history_nats)
 
 
 def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:

@@ -1,7 +1,7 @@
 """Step 3, its tool: the likeliest parameters of a set of mechanisms, how sure they are, and the evidence for it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import optimize
@@ -22,6 +22,7 @@ class EstimatedSet:
         by_run: (R, P) what each run would move the values by.
         naive: (P, P) their covariance if runs were as independent as the likelihood has it, and nothing else unknown.
         evidence: log marginal likelihood, nats: parameters integrated out by Laplace's method, prior uniform in bounds.
+        resampled: (P,) standard deviations of the values over resampled runs, where that was looked at.
     """
 
     fitted: FittedMechanisms
@@ -30,6 +31,7 @@ class EstimatedSet:
     by_run: np.ndarray
     naive: np.ndarray
     evidence: float
+    resampled: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def mechanisms(self) -> tuple[Mechanism, ...]:
@@ -50,6 +52,8 @@ class EstimatedSet:
             return posterior
         clustered = self.by_run.T @ self.by_run * (runs / (runs - 1))
         wider = np.sqrt(np.maximum(np.diag(clustered) / np.maximum(np.diag(self.naive), 1e-300), 1.0))
+        if len(self.resampled):
+            wider = np.maximum(wider, self.resampled / np.sqrt(np.diag(posterior)))
         covariance: np.ndarray = posterior * np.outer(wider, wider)
         return covariance
 
@@ -60,13 +64,17 @@ class EstimatedSet:
         return rng.multivariate_normal(self.values, self.covariance, count, method="eigh")
 
 
-def estimate(model: SessionLikelihood, start: Sequence[Mechanism], polish: bool = False) -> EstimatedSet:
+def estimate(
+    model: SessionLikelihood, start: Sequence[Mechanism], polish: bool = False, smooth: bool = False
+) -> EstimatedSet:
     """Return a set of mechanisms with its likeliest values, searched from those that `start` has.
 
     Args:
         model: of the session.
         start: the mechanisms.
-        polish: whether to search a little around the end where the motion changes by jumps.
+        polish: whether to search a little around the end where the motion changes by jumps,
+        smooth: and to return the values of a smooth surface through the likelihood there, with what these differ by over
+            resampled runs: slopes say little there.
     """
     kinds = [type(mechanism) for mechanism in start]
     search = _Search(model, kinds)
@@ -76,7 +84,8 @@ def estimate(model: SessionLikelihood, start: Sequence[Mechanism], polish: bool 
     elif len(values):
         values = search.by_least_squares(values)
         if polish and not all(kind.is_smooth for kind in kinds):
-            values = search.polished(values)
+            found = search.estimated(search.polished(values))
+            return search.smoothed(found) if smooth else found
     return search.estimated(values)
 
 
@@ -190,6 +199,50 @@ class _Search:
         }
         found = optimize.minimize(loss, np.zeros(len(values)), method="Nelder-Mead", options=options)
         return self.clipped(values + found.x * self.step)
+
+    def smoothed(self, found: EstimatedSet) -> EstimatedSet:
+        """Return a set at the minimum of a quadratic surface through its loss around it (Box and Wilson, 1951).
+
+        Where the edge of a patch passes single measured poses the loss jumps, and neither its slopes nor its lowest
+        point say where the edge is; a surface through points as far away as the values are uncertain does. Resampled
+        runs, each with a surface of its own, say how well.
+        """
+        settings, rng = self.settings, np.random.default_rng(0)
+        count = len(found.values)
+        covariance = found.covariance
+        wider = np.maximum(self.step / 4 / np.sqrt(np.diag(covariance)), 1.0)  # less far nothing jumps
+        root = np.linalg.cholesky(covariance * np.outer(wider, wider))
+        one, other = np.triu_indices(count)
+        away = rng.normal(size=(settings.surface_points * (1 + count + len(one)), count))
+        away *= rng.uniform(size=(len(away), 1)) ** (1 / count) / np.linalg.norm(away, axis=1, keepdims=True)
+        points = self.clipped(found.values + settings.surface_radius * away @ root.T)
+        away = np.linalg.solve(root, (points - found.values).T).T
+        effects = self.model.effects_with(found.mechanisms)
+        losses = np.array([self._loss_by_run(effects, self.whitened(point)) for point in points])
+        terms = np.column_stack([np.ones(len(away)), away, away[:, one] * away[:, other]])
+
+        def lowest(chosen: np.ndarray, times: np.ndarray) -> np.ndarray:
+            """Return the values (P,) at the minimum of the surface through chosen points, runs counted (R,) times."""
+            fitted = np.linalg.lstsq(terms[chosen], losses[chosen] @ times, rcond=1e-8)[0]
+            curvature = np.zeros((count, count))
+            curvature[one, other] = fitted[1 + count :]
+            sizes, axes = np.linalg.eigh(curvature + curvature.T)
+            step = -axes @ (axes.T @ fitted[1 : 1 + count] / np.maximum(sizes, 1e-2))
+            step *= min(1.0, settings.surface_radius / max(float(np.linalg.norm(step)), 1e-12))
+            return self.clipped(found.values + root @ step)
+
+        runs, all_points = losses.shape[1], np.arange(len(points))
+        drawn = rng.multinomial(runs, np.full(runs, 1 / runs), settings.surface_resamples)
+        resampled = np.array([lowest(rng.choice(all_points, len(all_points)), times) for times in drawn])
+        return replace(self.estimated(lowest(all_points, np.ones(runs))), resampled=resampled.std(axis=0))
+
+    def _loss_by_run(self, effects: RandomEffects, whitened: np.ndarray) -> np.ndarray:
+        """Return (R,) half the squared errors of each run, and its part of what the random effects' size costs."""
+        errors = whitened.reshape(-1, 3)
+        sizes = effects.sizes(errors)
+        left = errors - effects.of_sizes(sizes)
+        by_run: np.ndarray = self.model.session.by_run(self.model.weight * (left**2).sum(axis=1) / 2)
+        return by_run + float(sizes @ sizes) / 2 / len(by_run)
 
     def estimated(self, values: np.ndarray) -> EstimatedSet:
         """Return the set at its likeliest values, with its evidence."""

@@ -103,11 +103,17 @@ class FlexibleResidual:
         predicted = np.zeros_like(errors)
         target = np.clip(errors / scale, -self.settings.clip_z, self.settings.clip_z)
         for axis in range(3):
-            predicted[:, axis] = self._cross_fitted(columns / scale[:, axis : axis + 1], target[:, axis], weight)
+            predicted[:, axis] = self.cross_fitted(columns / scale[:, axis : axis + 1], target[:, axis], weight)
         return predicted * scale
 
-    def _cross_fitted(self, columns: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Return (N,) ridge regressions' answers, each fold's by the others; of a few ridges those of the best."""
+    def cross_fitted(self, columns: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Return ridge regressions' answers (N,), each fold's by the others; of a few ridges those of the best.
+
+        Args:
+            columns: (N, q) what is regressed upon.
+            target: (N,) what is to be answered.
+            weight: (N,) how much each counts.
+        """
         root = np.sqrt(weight)
         weighted, aim = columns * root[:, None], target * root
         grams, sides = [], []

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import special, stats
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
+from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
@@ -42,7 +43,7 @@ class Explanation:
         posterior: over sets of causes.
         best: the most probable set, estimated anew in that model.
         gained: nats that it gains over no cause.
-        left: nats that a flexible regression still gains on runs that it has not seen.
+        left: nats that a flexible regression still gains on runs that it has not seen, and one on earlier errors then.
         motion_noise: how random the motion is beside these causes.
     """
 
@@ -106,38 +107,56 @@ class Explanation:
         return tuple(one for one in self.best.mechanisms if one.name in self.names)
 
 
-def explanation(
-    model: SessionLikelihood, posterior: CausePosterior, usual_noise_log: Callable[[], float] = lambda: 0.0
-) -> Explanation:
+class Usual(NamedTuple):
+    """What is asked of the reference where it matters, measured like the session.
+
+    Attributes:
+        noise_log: the log of the factor on the noise of the reference's own motion.
+        history_nats: nats a transition that its own errors gain by those before them.
+    """
+
+    noise_log: Callable[[], float] = float
+    history_nats: Callable[[], float] = float
+
+
+def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual = Usual()) -> Explanation:
     """Look at what the best causes leave of a session.
 
     Args:
         model: of the fitted runs.
         posterior: over sets of causes.
-        usual_noise_log: measures the reference's own motion like the session's: the log of the factor on its noise.
+        usual: what the reference's own errors show likewise.
     """
     refined = model.explained_by(posterior.best.mechanisms)
-    best = estimate(refined, posterior.best.mechanisms, polish=True)
+    best = estimate(refined, posterior.best.mechanisms, polish=True, smooth=True)
     nothing = refined.evaluate([])
     return Explanation(
         refined,
         posterior,
         best,
         best.fitted.total - nothing.total,
-        _nats_left(refined, best),
-        _motion_noise(refined, best.mechanisms, usual_noise_log),
+        _nats_left(refined, best, usual.history_nats),
+        _motion_noise(refined, best.mechanisms, usual.noise_log),
     )
 
 
-def _nats_left(model: SessionLikelihood, best: EstimatedSet) -> float:
-    """Return the nats that a flexible regression gains on what a set of causes leaves, on runs that it has not seen."""
+def _nats_left(model: SessionLikelihood, best: EstimatedSet, usual_history_nats: Callable[[], float]) -> float:
+    """Return the nats that flexible regressions gain on what a set of causes leaves, on runs that they have not seen.
+
+    One on the situation first, then one on the errors before, of which only that counts that is beyond chance and
+    beyond what the reference's own errors gain.
+    """
     errors = model.errors_left(best.mechanisms) - best.fitted.effect_errors
     spread = model.noise.spread(model.motion)
     expected = model.filter(model.flexible.predicted(errors, spread, model.weight)[..., None])[..., 0]
     residual, freedom = best.fitted.residual, model.noise.degrees_of_freedom
     scale = best.fitted.scale
     before, after = (log_density(one / scale, freedom) for one in (residual, residual - expected))
-    return float((after - before).sum())
+    gained = float((after - before).sum())
+    history = nats_by_history(model, best.fitted, expected if gained > 0 else 0.0) - model.settings.verdict.alarm_nats
+    if history > 0:
+        history -= usual_history_nats() * len(model.session)
+    return max(gained, 0.0) + max(history, 0.0)
 
 
 def _motion_noise(

@@ -182,7 +182,7 @@ def unit_changes(
         askew = [command.clone() for command in commands]
         for command in askew:
             command[:, column] += math.degrees(step_rad)
-        changes.append((predictor.base_twist(*askew) - twist) / step_rad)
+        changes.append((predictor.base_twist(*askew) - predictor.base_twist(*commands)) / step_rad)
     return changes
 
 

@@ -72,6 +72,7 @@ class FlexibleSettings(StrictModel):
         place_waves: of the place in the arena.
         place_scale: their standard deviation in waves, 1 per half of the arena.
         time_waves: cosines over the session.
+        running_means: transitions that running means of earlier errors look back.
     """
 
     folds: Annotated[int, Field(ge=2)] = 4
@@ -81,6 +82,7 @@ class FlexibleSettings(StrictModel):
     place_waves: Count = 40
     place_scale: Positive = 3.0
     time_waves: Count = 6
+    running_means: tuple[Positive, ...] = (2.0, 8.0, 40.0, 200.0)
 
 
 class UnitSettings(StrictModel):
@@ -143,15 +145,21 @@ class EstimationSettings(StrictModel):
     Attributes:
         rounds: of Gauss and Newton's method at most, without and then with what is unknown of the mechanisms' form.
         likelihood_rounds: of the search in the likelihood itself, where commands may be lost.
-        most_polishing: evaluations of the local search where the motion changes by jumps.
+        most_polishing: evaluations of the local search where the motion changes by jumps,
+        surface_points: and then, for each term of a quadratic surface, points that it is laid through,
+        surface_radius: within so many standard deviations of the values,
+        surface_resamples: and resamples of the runs.
         draws: of the parameters for their intervals.
         clock_bootstraps: resamples of the runs for what is read off the clock.
         interval: probability that an interval holds.
     """
 
-    rounds: Count = 4
+    rounds: Count = 8
     likelihood_rounds: Count = 8
-    most_polishing: Count = 30
+    most_polishing: Count = 60
+    surface_points: Count = 6
+    surface_radius: Positive = 5.0
+    surface_resamples: Count = 200
     draws: Count = 1000
     clock_bootstraps: Count = 200
     interval: Share = 0.95

@@ -1,4 +1,4 @@
-"""What a dynamics model shows of its robot's actuators: distance of the wheels, own lag, growth with effort.
+"""What a dynamics model shows of its robot's actuators: distance of the wheels, own lag, growth with speed.
 
 Nothing here comes from the robot's file or from a stand-in: the model is asked for commands and its answers are read.
 """
@@ -97,10 +97,12 @@ def _own_lag(dynamics: DynamicsModel, trial: TrialCommands) -> float:
 
 
 def _effort_exponents(dynamics: DynamicsModel, trial: TrialCommands) -> tuple[float, float, float]:
-    """Return the power of effort with which steady twists of thrust grow, axis by axis; 1 for wheels.
+    """Return the power of the speed ahead with which steady twists of thrust grow, axis by axis; 1 for wheels.
 
     A twist v ∝ effortᵖ changes by p · v per unit of ln(effort): p is the slope of that change over v, from efforts a
-    tenth larger and a tenth smaller, least squares through zero.
+    tenth larger and a tenth smaller, least squares through zero. Powers of effort itself would depend on the unit in
+    which a command states it (thrust or its root); over the power of the speed ahead they do not, and a gain is the
+    factor on that speed.
     """
     robot = dynamics.robot
     if robot.actuation.kind == "wheel" or not robot.actuation.effort:
@@ -117,4 +119,4 @@ def _effort_exponents(dynamics: DynamicsModel, trial: TrialCommands) -> tuple[fl
     change = (up - down) / (math.log(1.1) - math.log(0.9))
     exponents = (change * twist).sum(dim=0) / (twist**2).sum(dim=0).clamp(min=1e-12)
     forward, left, turn = (min(max(float(power), 0.2), 4.0) for power in exponents)
-    return forward, left, turn
+    return 1.0, left / forward, turn / forward

@@ -1,0 +1,68 @@
+"""What errors depend on that came before them: whatever lasts, drifts or sways leaves errors that follow each other.
+
+Where the simulation and its causes are right, whitened errors are independent of all earlier ones. A current that turns,
+a load that came off, a loose camera make the next error like the last ones: in the vehicle's frame, in the room's, or
+in proportion to the motion. No form of the gap has to be guessed for that.
+"""
+
+import numpy as np
+from scipy.signal import lfilter
+
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
+from swarmtwin.diagnosis.noise import log_density
+from swarmtwin.geometry import rotate
+
+
+def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms, expected: np.ndarray | float = 0.0) -> float:
+    """Return the nats by which errors are likelier, each given those before it, than on their own.
+
+    A ridge regression on running means of earlier errors, cross-fitted over runs: what is predicted of a run is
+    predicted by coefficients that have not seen it, from errors that came before.
+
+    Args:
+        model: of N transitions.
+        fitted: mechanisms, and the errors that they leave.
+        expected: (N, 3) whitened errors that are expected anyway.
+    """
+    left = fitted.residual - expected
+    scale, freedom = fitted.scale, model.noise.degrees_of_freedom
+    target = np.clip(left / scale, -model.settings.flexible.clip_z, model.settings.flexible.clip_z)
+    predicted = np.zeros_like(left)
+    for axis, columns in enumerate(running_means(model, target)):
+        predicted[:, axis] = model.flexible.cross_fitted(columns, target[:, axis], model.weight)
+    return float((log_density(left / scale - predicted, freedom) - log_density(left / scale, freedom)).sum())
+
+
+def running_means(model: SessionLikelihood, errors: np.ndarray) -> list[np.ndarray]:
+    """Return for each axis functions (N, q) of the whitened errors (N, 3) before each transition of its vehicle.
+
+    They are running means over some numbers of transitions, across runs, of unit variance where errors are independent:
+    of the errors in the room's frame, and in the vehicle's as they go with its motion.
+    """
+    transitions, motion = model.session.transitions, model.motion
+    order = np.lexsort((transitions.time_s, transitions.vehicle))
+    begins = np.flatnonzero(np.diff(transitions.vehicle[order], prepend=-1))
+    size = motion[:, [0, 2]] / np.maximum(np.sqrt((motion[:, [0, 2]] ** 2).mean(axis=0)), 1e-9)
+    along = np.column_stack([np.ones(len(size)), size])
+    spread = model.noise.spread(motion)[:, :2]
+    usual = np.sqrt((spread**2).mean())
+    heading = transitions.pose[:, 2] + transitions.displacement[:, 2]
+    in_room = rotate(errors[:, :2] * spread / usual, heading)
+    with_motion = errors[:, :, None] * along[:, None, :]
+    columns: list[list[np.ndarray]] = [[], [], []]
+    for transitions_back in model.settings.flexible.running_means:
+        fade = float(np.exp(-1 / transitions_back))
+        room = rotate(_running_mean(in_room, order, begins, fade), -heading) * usual / spread
+        moving = _running_mean(with_motion, order, begins, fade) * along[:, None, :]
+        for axis in range(3):
+            columns[axis] += [*moving[:, axis].T, *(room[:, [axis]].T if axis < 2 else ())]
+    return [np.clip(np.column_stack(own), -15.0, 15.0) for own in columns]
+
+
+def _running_mean(values: np.ndarray, order: np.ndarray, begins: np.ndarray, fade: float) -> np.ndarray:
+    """Return exponentially fading means of the values (N, ...) before each, in an order that begins anew at places."""
+    means = np.empty_like(values)
+    for rows in np.split(order, begins[1:]):
+        means[rows] = lfilter([0.0, fade], [1.0, -fade], values[rows], axis=0)
+    means *= np.sqrt(1 - fade**2) / fade
+    return means
