@@ -99,7 +99,7 @@ kill: setup  # commands that die at random moments, and are called again; likewi
 	$(BIN)/python tests/campaigns/kill.py --count $(or $(COUNT),200) --seed $(or $(SEED),1) --state outputs/kill.jsonl
 
 test: setup
-	$(BIN)/dvc pull --quiet data
+	$(BIN)/dvc pull --quiet data docs/results/dvc.yaml
 	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims" tests
 
 claims: setup

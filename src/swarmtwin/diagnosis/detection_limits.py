@@ -10,7 +10,7 @@ from scipy import stats
 from swarmtwin.diagnosis.cause_search import needed_nats
 from swarmtwin.diagnosis.gains import confirmed_from
 from swarmtwin.diagnosis.left_over import Explanation
-from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.random_limits import loss_limit, noise_limit
 from swarmtwin.diagnosis.result import DetectionLimit
 from swarmtwin.diagnosis.screening import Candidate, candidates
@@ -91,8 +91,7 @@ class _Limits:
             self.needed += settings.least_share_beside * max(gained, 0.0)
         self.unfitted = unfitted
         if unfitted:
-            arriving = Surroundings.arriving_of(explained.best.mechanisms)
-            self._error = unfitted.errors(arriving) + unfitted.correction
+            self._error = unfitted.errors(arriving(explained.best.mechanisms)) + unfitted.correction
             self._without = unfitted.errors(self.around.arriving)
 
     def of_moving(self, found: Sequence[Candidate], rivals: Sequence[Candidate]) -> list[FoundLimit]:

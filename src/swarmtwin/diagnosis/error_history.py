@@ -17,7 +17,8 @@ def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms, expected
     """Return the nats by which errors are likelier, each given those before it, than on their own.
 
     A ridge regression on running means of earlier errors, cross-fitted over runs: what is predicted of a run is
-    predicted by coefficients that have not seen it, from errors that came before.
+    predicted by coefficients that have not seen it, from errors that came before. None is below 0: what lasts makes
+    errors alike, while errors of opposite sign say that the camera's noise is another one than was thought.
 
     Args:
         model: of N transitions.
@@ -29,7 +30,7 @@ def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms, expected
     target = np.clip(left / scale, -model.settings.flexible.clip_z, model.settings.flexible.clip_z)
     predicted = np.zeros_like(left)
     for axis, columns in enumerate(running_means(model, target)):
-        predicted[:, axis] = model.flexible.cross_fitted(columns, target[:, axis], model.weight)
+        predicted[:, axis] = model.flexible.cross_fitted(columns, target[:, axis], model.weight, positive=True)
     return float((log_density(left / scale - predicted, freedom) - log_density(left / scale, freedom)).sum())
 
 

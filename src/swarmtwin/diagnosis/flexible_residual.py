@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import optimize
 
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.settings import FlexibleSettings
@@ -106,13 +107,16 @@ class FlexibleResidual:
             predicted[:, axis] = self.cross_fitted(columns / scale[:, axis : axis + 1], target[:, axis], weight)
         return predicted * scale
 
-    def cross_fitted(self, columns: np.ndarray, target: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    def cross_fitted(
+        self, columns: np.ndarray, target: np.ndarray, weight: np.ndarray, positive: bool = False
+    ) -> np.ndarray:
         """Return ridge regressions' answers (N,), each fold's by the others; of a few ridges those of the best.
 
         Args:
             columns: (N, q) what is regressed upon.
             target: (N,) what is to be answered.
             weight: (N,) how much each counts.
+            positive: whether no coefficient is below 0.
         """
         root = np.sqrt(weight)
         weighted, aim = columns * root[:, None], target * root
@@ -133,7 +137,10 @@ class FlexibleResidual:
             values, vectors = np.linalg.eigh(gram - grams[fold])
             turned = vectors.T @ (side - sides[fold])
             for number, ridge in enumerate(self.settings.ridges):
-                solution = vectors @ (turned / (np.maximum(values, 0.0) + ridge * mean))
+                precision = np.maximum(values, 0.0) + ridge * mean
+                solution = vectors @ (turned / precision)
+                if positive:
+                    solution = optimize.nnls(np.sqrt(precision)[:, None] * vectors.T, turned / np.sqrt(precision))[0]
                 answers[own, number] = columns[own] @ solution
         for number in range(len(self.settings.ridges)):
             left = float(weight @ (target - answers[:, number]) ** 2)

@@ -11,7 +11,7 @@ from scipy import special, stats
 from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
-from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.result import Verdict
 from swarmtwin.diagnosis.settings import DiagnosisSettings
@@ -119,14 +119,15 @@ class Usual(NamedTuple):
     history_nats: Callable[[], float] = float
 
 
-def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual = Usual()) -> Explanation:
+def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual | None = None) -> Explanation:
     """Look at what the best causes leave of a session.
 
     Args:
         model: of the fitted runs.
         posterior: over sets of causes.
-        usual: what the reference's own errors show likewise.
+        usual: what the reference's own errors show likewise; None: nothing.
     """
+    usual = usual or Usual()
     refined = model.explained_by(posterior.best.mechanisms)
     best = estimate(refined, posterior.best.mechanisms, polish=True, smooth=True)
     nothing = refined.evaluate([])
@@ -181,7 +182,16 @@ def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]
     usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
-    return float(np.hypot(usual, settings.growth_spread * model.reference_noise.log_from_usual(model.motion)))
+    grown = settings.growth_spread * model.reference_noise.log_from_usual(model.motion)
+    return float(np.linalg.norm([usual, grown, _share_of_motion(model, mechanisms)]))
+
+
+def _share_of_motion(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
+    """Return what share of way and turn mechanisms change, root mean square: by as much they may change the noise."""
+    change = (model.predictor.twist(arriving(mechanisms)) - model.simulated).numpy()[:, [0, 2]]
+    return float(
+        np.sqrt((change**2).mean(axis=0) / np.maximum((model.motion[:, [0, 2]] ** 2).mean(axis=0), 1e-12)).max()
+    )
 
 
 def noise_change_probability(log: float, error: float, usual: float, settings: DiagnosisSettings) -> float:

@@ -266,7 +266,7 @@ class SessionLikelihood(SessionErrors):
     def values(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return the values (P,) of all parameters of mechanisms."""
         kinds = [type(mechanism) for mechanism in mechanisms]
-        return np.array([getattr(mechanisms[number], name) for number, name, _ in self.parameters(kinds)])
+        return np.array([getattr(mechanisms[number], name) for number, name, _ in self.parameters(kinds)], float)
 
     def assembled(self, kinds: Sequence[MechanismClass], values: np.ndarray) -> list[Mechanism]:
         """Return mechanisms with values (P,) for all their parameters."""
@@ -292,3 +292,8 @@ class SessionLikelihood(SessionErrors):
 def loses_commands(kinds: Sequence[MechanismClass]) -> bool:
     """Say whether one of the mechanisms decides that a command arrives."""
     return any(kind.arrival_probability is not Mechanism.arrival_probability for kind in kinds)
+
+
+def arriving(mechanisms: Sequence[Mechanism]) -> list[Mechanism]:
+    """Return the mechanisms under which every command arrives."""
+    return [one for one in mechanisms if one.arrival_probability() >= 1.0]

@@ -6,7 +6,13 @@ from itertools import combinations
 
 import numpy as np
 
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.likelihood import (
+    FittedMechanisms,
+    MechanismClass,
+    SessionLikelihood,
+    arriving,
+    loses_commands,
+)
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Parameter
 from swarmtwin.simulation.mechanisms import gain_change
@@ -43,7 +49,7 @@ def candidates(
 ) -> list[Candidate]:
     """Return mechanisms at all points of their grids, beside others that are fitted already."""
     traction = local_traction_score(model, beside)
-    here = model.whitened(_arriving(beside))
+    here = model.whitened(arriving(beside.mechanisms))
     here[beside.is_lost] = 0.0
     found = []
     for name, cause in kinds.items():
@@ -90,9 +96,9 @@ def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Ca
 
 def local_traction_score(model: SessionLikelihood, fitted: FittedMechanisms, step: float = 0.02) -> LocalTractionScore:
     """Return where the traction seems to be another one than fitted mechanisms say, by a small loss everywhere."""
-    arriving = _arriving(fitted)
-    weaker = [*arriving, gain_change.Config.at({"gain": 1 - step})]
-    response = (model.whitened(weaker) - model.whitened(arriving)) / step
+    others = arriving(fitted.mechanisms)
+    weaker = [*others, gain_change.Config.at({"gain": 1 - step})]
+    response = (model.whitened(weaker) - model.whitened(others)) / step
     response[fitted.is_lost] = 0.0
     session = model.session
     middle = compose(model.predictor.moment().pose, exp_map(session.twist / 2))[:, :2].numpy()
@@ -130,7 +136,7 @@ def _candidate(
     probes: list[dict[str, float]] = [{**nulls, key: value} for key, value in moved.items()]
     responses = []
     for probe in probes or [{}]:
-        change = model.whitened([*_arriving(beside), kind.at({**begun, **probe})]) - here
+        change = model.whitened([*arriving(beside.mechanisms), kind.at({**begun, **probe})]) - here
         change[beside.is_lost] = 0.0
         responses.append(change.ravel())
     columns = np.stack(responses, axis=-1)
@@ -145,11 +151,6 @@ def _candidate(
     nats = float(solution @ side - solution @ gram @ solution / 2)
     off = {key: value - nulls[key] for key, value in moved.items()}
     return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, begun, off)
-
-
-def _arriving(fitted: FittedMechanisms) -> list[Mechanism]:
-    """Return the mechanisms under which every command arrives."""
-    return [one for one in fitted.mechanisms if one.arrival_probability() >= 1.0]
 
 
 def _off_null(parameter: Parameter, value: float) -> float:

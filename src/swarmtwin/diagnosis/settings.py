@@ -208,7 +208,8 @@ class MotionNoiseSettings(StrictModel):
 
     Attributes:
         usual_spread: standard deviation between sessions of one vehicle in which nothing is wrong.
-        usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact.
+        usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact; with the
+            share of the motion that these change, as noise may go with it.
         usual_spread_with_momentum: likewise of a simulation that goes on from its own velocity: what that gets wrong
             lasts for some periods, and is told from the noise of motion and camera only so well.
         growth_spread: likewise for each unit of the log by which vehicles move less or more than in the reference:
@@ -217,7 +218,7 @@ class MotionNoiseSettings(StrictModel):
     """
 
     usual_spread: Positive = 0.03
-    usual_spread_beside: Positive = 0.15
+    usual_spread_beside: Positive = 0.06
     usual_spread_with_momentum: Positive = 0.3
     growth_spread: Positive = 0.3
     changed_spread: Positive = 0.7

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood
+from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving
 from swarmtwin.diagnosis.screening import Candidate
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
@@ -67,16 +67,11 @@ class Surroundings:
 
     def __init__(self, model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> None:
         self.model = model
-        self.arriving = self.arriving_of(mechanisms)
+        self.arriving = arriving(mechanisms)
         self._here = model.whitened(self.arriving)
         self._slopes, precision = self.slopes(())
         prior = np.sqrt(np.diag(precision))
         self._effects = model.effects.extended(self._slopes / prior) if len(prior) else model.effects
-
-    @staticmethod
-    def arriving_of(mechanisms: Sequence[Mechanism]) -> list[Mechanism]:
-        """Return the mechanisms under which every command arrives."""
-        return [one for one in mechanisms if one.arrival_probability() >= 1.0]
 
     def change(self, mechanism: Mechanism) -> np.ndarray:
         """Return (3 N,) by what a mechanism changes whitened errors."""

@@ -94,7 +94,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             places, which have no size), and `covered`, 95 % intervals that hold it.
         parameters: likewise for each single parameter, and in its own unit; for factors also in percent of what the
             true value differs by from doing nothing.
-        covered, median_parameter_error_percent: over all.
+        covered, median_parameter_error_percent: over all that are said in the unit that they are hidden in; the others,
+            in_another_unit, are counted (see `parameters_table`).
         calibration_error: see `expected_calibration_error`.
         gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
             more: median shares of the squared error that the effects had brought, and `to_floor` of all squared error
@@ -127,7 +128,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def _family(table: pd.DataFrame, parameters: pd.DataFrame, confidences: pd.DataFrame) -> dict[str, Any]:
+def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) -> dict[str, Any]:
+    parameters = said[said.same_unit]
     one, outside, clean = (table[table.kind == kind] for kind in ("one", "outside", "clean"))
     hiding = table[table.kind.isin(["one", "two", "three"])]
     return {
@@ -140,6 +142,7 @@ def _family(table: pd.DataFrame, parameters: pd.DataFrame, confidences: pd.DataF
         "mechanisms": {name: _mechanism(name, one, parameters) for name in one.about.unique()},
         "parameters": _of_each(parameters, parameters.cause + "." + parameters.name, _precision),
         "covered": Proportion.of(parameters.covered),
+        "in_another_unit": int((~said.same_unit).sum()),
         "median_parameter_error_percent": _median(parameters.error_percent),
         "named_causes": len(confidences),
         "calibration_error": expected_calibration_error(confidences.confidence, confidences.true),
@@ -278,7 +281,7 @@ def _beside_true_model(
             "outside": Proportion.of(~outside.named & ~outside.failed),
             "accused": Proportion.of(clean.named),
             "failed": Proportion.of(own.failed),
-            "median_parameter_error_percent": _median(parameters.error_percent[is_own]),
+            "median_parameter_error_percent": _median(parameters.error_percent[is_own & parameters.same_unit]),
             "seconds": _median_and_most(table[f"{way}_seconds" if way else "seconds"]),
         }
     return compared

@@ -14,6 +14,9 @@ from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.hidden_effects.cases import Case
 
+THRUST_ROBOTS = ("mur",)
+"""Robots of the study whose actuators thrust."""
+
 
 class HeldOutGain(StrictModel):
     """What an extended simulation gained on runs that nothing was fitted to.
@@ -184,7 +187,10 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
 
     `error` is in the parameter's unit; `error_percent` is of the true value, NaN for angles and places, which have no
     size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
-    `covered` says whether the 95 % interval holds the true value.
+    `covered` says whether the 95 % interval holds the true value; `same_unit` whether what is said and what is hidden
+    are the same quantity at all. They are not where a fin or a propeller is weaker: a diagnosis says what share of the
+    speed ahead is left, a stand-in hides a share of the thrust or of its command, and only its physics tell the one of
+    the other.
     """
     table = _with_errors([row for result in results for row in _parameters(result)], list(Estimate.model_fields))
     table["covered"] = table.true.between(table.low, table.high)
@@ -212,6 +218,7 @@ def _with_errors(rows: list[dict[str, Any]], said: list[str]) -> pd.DataFrame:
     table["error"] = (table.value - true).abs()
     table["error_percent"] = 100 * (table.error / true.abs()).where(has_size)
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
+    table["same_unit"] = ~(table.robot.isin(THRUST_ROBOTS) & table["name"].isin(["gain", "loss"]))
     return table
 
 

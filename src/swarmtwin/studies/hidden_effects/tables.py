@@ -103,6 +103,7 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         ("  alarm", "≤ 0.5 %", lambda own: _told(own["clean"]["alarmed"])),
         ("  error raised by 0.5 % or more", "0", lambda own: _told(own["clean"]["harmed"])),
         ("95 % intervals that hold the truth", "93 to 97 %", lambda own: _told(own["covered"])),
+        ("  told in another unit than hidden, not counted", "", lambda own: str(own["in_another_unit"])),
         ("parameters: median error", "≤ 2 %", lambda own: _percent(own["median_parameter_error_percent"], 1.0)),
         ("confidence: expected calibration error", "≤ 0.03", lambda own: _number(own["calibration_error"])),
         ("gain, of what the true model gains: median", "≥ 97 %", lambda own: _percent(own["gain"]["diagnosis"])),
