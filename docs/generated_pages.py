@@ -20,9 +20,7 @@ from swarmtwin.commands.option_help import ConfigFile, Option
 REPOSITORY = Path(__file__).resolve().parents[1]
 CONF = REPOSITORY / "conf"
 PACKAGE = REPOSITORY / "src" / "swarmtwin"
-EXPERIMENTS = sorted(
-    (REPOSITORY / "docs" / "results" / "paper").glob("*/report.md")
-)  # fetched by `dvc pull docs/results`
+EXPERIMENTS = sorted((REPOSITORY / "docs" / "results" / "paper").glob("*/report.md"))  # dvc pull
 NOT_API = {"commands", "studies"}  # of the code: commands have pages of their own, studies are run and not imported
 
 

@@ -1,8 +1,8 @@
 """What errors depend on that came before them: whatever lasts, drifts or sways leaves errors that follow each other.
 
-Where the simulation and its causes are right, whitened errors are independent of all earlier ones. A current that turns,
-a load that came off, a loose camera make the next error like the last ones: in the vehicle's frame, in the room's, or
-in proportion to the motion. No form of the gap has to be guessed for that.
+Where the simulation and its causes are right, whitened errors are independent of all earlier ones. A current that
+turns, a load that came off, a loose camera make the next error like the last ones: in the vehicle's frame, in the
+room's, or in proportion to the motion. No form of the gap has to be guessed for that.
 """
 
 import numpy as np

@@ -73,8 +73,8 @@ def estimate(
         model: of the session.
         start: the mechanisms.
         polish: whether to search a little around the end where the motion changes by jumps,
-        smooth: and to return the values of a smooth surface through the likelihood there, with what these differ by over
-            resampled runs: slopes say little there.
+        smooth: and to return the values of a smooth surface through the likelihood there, with what these differ by
+            over resampled runs: slopes say little there.
     """
     kinds = [type(mechanism) for mechanism in start]
     search = _Search(model, kinds)

@@ -188,10 +188,9 @@ def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]
 
 def _share_of_motion(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
     """Return what share of way and turn mechanisms change, root mean square: by as much they may change the noise."""
-    change = (model.predictor.twist(arriving(mechanisms)) - model.simulated).numpy()[:, [0, 2]]
-    return float(
-        np.sqrt((change**2).mean(axis=0) / np.maximum((model.motion[:, [0, 2]] ** 2).mean(axis=0), 1e-12)).max()
-    )
+    change = (model.predictor.twist(arriving(mechanisms)) - model.simulated).numpy()
+    changed, moved = ((twist[:, [0, 2]] ** 2).mean(axis=0) for twist in (change, model.motion))
+    return float(np.sqrt(changed / np.maximum(moved, 1e-12)).max())
 
 
 def noise_change_probability(log: float, error: float, usual: float, settings: DiagnosisSettings) -> float:
