@@ -13,7 +13,7 @@ from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.geometry import rotate
 
 
-def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms, expected: np.ndarray | float = 0.0) -> float:
+def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms) -> float:
     """Return the nats by which errors are likelier, each given those before it, than on their own.
 
     A ridge regression on running means of earlier errors, cross-fitted over runs: what is predicted of a run is
@@ -23,15 +23,13 @@ def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms, expected
     Args:
         model: of N transitions.
         fitted: mechanisms, and the errors that they leave.
-        expected: (N, 3) whitened errors that are expected anyway.
     """
-    left = fitted.residual - expected
-    scale, freedom = fitted.scale, model.noise.degrees_of_freedom
-    target = np.clip(left / scale, -model.settings.flexible.clip_z, model.settings.flexible.clip_z)
-    predicted = np.zeros_like(left)
+    left, clip_z = fitted.residual / fitted.scale, model.settings.flexible.clip_z
+    target, predicted = np.clip(left, -clip_z, clip_z), np.zeros_like(left)
     for axis, columns in enumerate(running_means(model, target)):
         predicted[:, axis] = model.flexible.cross_fitted(columns, target[:, axis], model.weight, positive=True)
-    return float((log_density(left / scale - predicted, freedom) - log_density(left / scale, freedom)).sum())
+    before, after = (log_density(one, model.noise.degrees_of_freedom) for one in (left, left - predicted))
+    return float((after - before).sum())
 
 
 def running_means(model: SessionLikelihood, errors: np.ndarray) -> list[np.ndarray]:

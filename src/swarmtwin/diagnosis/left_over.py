@@ -43,7 +43,8 @@ class Explanation:
         posterior: over sets of causes.
         best: the most probable set, estimated anew in that model.
         gained: nats that it gains over no cause.
-        left: nats that a flexible regression still gains on runs that it has not seen, and one on earlier errors then.
+        left: nats that a flexible regression on the situation still gains on runs that it has not seen.
+        lasting: nats that one on the errors before gains likewise, beyond what it gains on the reference.
         motion_noise: how random the motion is beside these causes.
     """
 
@@ -52,12 +53,13 @@ class Explanation:
     best: EstimatedSet
     gained: float
     left: float
+    lasting: float
     motion_noise: MotionNoiseChange
 
     @property
     def share(self) -> float:
         """Share of what can be explained at all that the causes explain."""
-        return float(np.clip(self.gained / max(self.gained + self.left, 1e-9), 0.0, 1.0))
+        return float(np.clip(self.gained / max(self.gained + max(self.left, self.lasting), 1e-9), 0.0, 1.0))
 
     @property
     def alarm(self) -> float:
@@ -68,7 +70,9 @@ class Explanation:
     @property
     def is_something_left(self) -> bool:
         """Whether more is left over than chance, and than another form of the same causes would leave."""
-        return self.left > self.alarm + self.model.settings.verdict.most_left * max(self.gained, 0.0)
+        settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
+        lasts = self.lasting > settings.alarm_nats + settings.most_lasting * gained
+        return lasts or self.left > self.alarm + settings.most_left * gained
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -136,28 +140,27 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
         posterior,
         best,
         best.fitted.total - nothing.total,
-        _nats_left(refined, best, usual.history_nats),
+        _nats_left(refined, best),
+        _nats_lasting(refined, best, usual.history_nats),
         _motion_noise(refined, best.mechanisms, usual.noise_log),
     )
 
 
-def _nats_left(model: SessionLikelihood, best: EstimatedSet, usual_history_nats: Callable[[], float]) -> float:
-    """Return the nats that flexible regressions gain on what a set of causes leaves, on runs that they have not seen.
-
-    One on the situation first, then one on the errors before, of which only that counts that is beyond chance and
-    beyond what the reference's own errors gain.
-    """
+def _nats_left(model: SessionLikelihood, best: EstimatedSet) -> float:
+    """Return the nats that a flexible regression gains on what a set of causes leaves, on runs that it has not seen."""
     errors = model.errors_left(best.mechanisms) - best.fitted.effect_errors
     spread = model.noise.spread(model.motion)
     expected = model.filter(model.flexible.predicted(errors, spread, model.weight)[..., None])[..., 0]
     residual, freedom = best.fitted.residual, model.noise.degrees_of_freedom
     scale = best.fitted.scale
     before, after = (log_density(one / scale, freedom) for one in (residual, residual - expected))
-    gained = float((after - before).sum())
-    history = nats_by_history(model, best.fitted, expected if gained > 0 else 0.0) - model.settings.verdict.alarm_nats
-    if history > 0:
-        history -= usual_history_nats() * len(model.session)
-    return max(gained, 0.0) + max(history, 0.0)
+    return float((after - before).sum())
+
+
+def _nats_lasting(model: SessionLikelihood, best: EstimatedSet, usual_nats: Callable[[], float]) -> float:
+    """Return the nats that errors gain by those before them, beyond the reference's; it is asked where they alarm."""
+    nats = nats_by_history(model, best.fitted)
+    return nats - usual_nats() * len(model.session) if nats > model.settings.verdict.alarm_nats else nats
 
 
 def _motion_noise(

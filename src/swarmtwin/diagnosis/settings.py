@@ -232,6 +232,7 @@ class VerdictSettings(StrictModel):
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
         most_left: of what the causes gain that may be left over: another form of the same causes leaves as much.
+        most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
         gain_draws: bootstraps over runs for the gain's interval.
         immaterial: share of an error by which it may rise on held-out runs where another one falls.
     """
@@ -240,6 +241,7 @@ class VerdictSettings(StrictModel):
     alarm_nats: Positive = 15.0
     alarm_nats_a_transition: NonNegative = 0.002
     most_left: Share = 0.1
+    most_lasting: Share = 0.03
     gain_draws: Count = 1000
     immaterial: Share = 0.01
 
