@@ -161,3 +161,11 @@ def test_held_out_runs_confirm_what_is_measurably_better_and_nowhere_worse_by_wh
     gain = Gains(position_mm=position, orientation_deg=orientation, open_loop_mm=whole_runs, ten_periods_mm=ten_periods)
     said = not_confirmed(gain, likelihood, immaterial=0.01)
     assert said == objection if objection is None else said.startswith(objection)
+
+
+def test_lost_commands_of_another_vehicle_are_confirmed_by_likelihood():
+    """What that vehicle has of its own moves the errors a little; the cause moves none."""
+    gain = Gains(position_mm=NEITHER, orientation_deg=NEITHER, open_loop_mm=NEITHER, ten_periods_mm=NEITHER)
+    assert not_confirmed(gain, BETTER, immaterial=0.01, moves=False) is None
+    assert not_confirmed(gain, NEITHER, immaterial=0.01, moves=False) == "they are not measurably more likely with it"
+    assert "neither position nor orientation" in not_confirmed(gain, BETTER, immaterial=0.01)

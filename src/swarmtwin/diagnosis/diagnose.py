@@ -25,7 +25,13 @@ from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.left_over import Explanation, Usual, explanation
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.likelihood import (
+    FittedMechanisms,
+    MechanismClass,
+    SessionLikelihood,
+    arriving,
+    loses_commands,
+)
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.reference import Reference
@@ -82,7 +88,8 @@ def diagnose(
     objection, unfitted = None, reference.likelihood_of(session.where(held_out))
     if extended:
         likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
-        objection = not_confirmed(gain, likelihood, settings.immaterial)
+        moves = extended.residual is not None or bool(arriving(explained.mechanisms))
+        objection = not_confirmed(gain, likelihood, settings.immaterial, moves)
     named = reported_causes(explained, rng)
     limits = detection_limits(explained, unfitted)
     plan, drive = next_recording(explained, limits, seed)

@@ -140,7 +140,7 @@ def likelihood_gain(unfitted: SessionLikelihood, extended: Simulation, draws: in
     return _gain(before, after, unfitted.session.run, draws, rng)
 
 
-def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float) -> str | None:
+def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float, moves: bool = True) -> str | None:
     """Say why held-out runs do not confirm an extension; None where they do.
 
     They do if position or orientation after one period is measurably better, the whole 95 % interval of its gain above
@@ -153,16 +153,19 @@ def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float) -> str | Non
         gain: of the extension.
         likelihood: likewise, of the negative log-likelihood.
         immaterial: share of an error by which it may rise.
+        moves: whether any cause changes the likeliest motion; what a vehicle has of its own beside it is no cause.
     """
     figures = {
         "position": (gain.position_mm, "mm"),
         "orientation": (gain.orientation_deg, "°"),
         "position after ten periods": (gain.ten_periods_mm, "mm"),
     }
-    if all(one.before == one.after for one in (gain.position_mm, gain.orientation_deg, gain.open_loop_mm)):
-        return None if likelihood.low > 0 else "they are not measurably more likely with it"
+    stays = all(one.before == one.after for one in (gain.position_mm, gain.orientation_deg, gain.open_loop_mm))
     faults = []
-    if not any(one.low > 0 for one in (gain.position_mm, gain.orientation_deg)):
+    if stays or not moves:
+        if likelihood.low <= 0:
+            faults.append("they are not measurably more likely with it")
+    elif not any(one.low > 0 for one in (gain.position_mm, gain.orientation_deg)):
         told = f"{_told(gain.position_mm, 'mm')}, {_told(gain.orientation_deg, '°')}"
         faults.append(f"neither position nor orientation is measurably better ({told})")
     for name, (one, unit) in figures.items():

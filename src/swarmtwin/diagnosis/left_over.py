@@ -71,7 +71,7 @@ class Explanation:
     def is_something_left(self) -> bool:
         """Whether more is left over than chance, and than another form of the same causes would leave."""
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
-        lasts = self.lasting > settings.alarm_nats + settings.most_lasting * gained
+        lasts = self.lasting > self.alarm + settings.most_lasting * gained
         return lasts or self.left > self.alarm + settings.most_left * gained
 
     @property

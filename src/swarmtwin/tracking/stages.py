@@ -61,10 +61,14 @@ class Stage:
 
 
 def read_stages(repository: Path) -> dict[str, Stage]:
-    """Return every stage of a repository's `dvc.yaml` that runs a command of swarmtwin, by name."""
+    """Return every stage of a repository's `dvc.yaml` that runs a command of swarmtwin, by name.
+
+    Pipelines in folders below are not among them.
+    """
+    file = str((repository / "dvc.yaml").resolve())
     with Repo(str(repository)) as repo:
         graph = repo.index.graph
-        nodes = [node for node in graph if _runs_command(node)]
+        nodes = [node for node in graph if _runs_command(node) and str(Path(node.path).resolve()) == file]
         definitions = nodes[0].dvcfile.resolver.definitions  # every node's own would parse the file once more
         return {node.name: _stage(node, graph, definitions) for node in nodes}
 
