@@ -72,9 +72,21 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, **_: object) -> str:
-    """Keep figures on one line with their standard deviations, and with the sign of per cent."""
+    """Keep figures on one line with their spread and with the sign of per cent; set columns of words on the left."""
+    markdown = re.sub(r"(?:^\|.*\|$\n?)+", lambda table: _words_on_the_left(table[0]), markdown, flags=re.MULTILINE)
     markdown = markdown.replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
     return re.sub(r"(?<=\d)\s+%", "\N{NO-BREAK SPACE}%", markdown)
+
+
+def _words_on_the_left(table: str) -> str:
+    """Return a Markdown table in which a column that holds three words in a row is no longer set on the right."""
+    rows = table.splitlines()
+    columns = zip(*(row.strip("|").split("|") for row in rows), strict=False)
+    aligned = []
+    for _, ruler, *cells in columns:
+        is_text = any(re.search(r"[a-z]{2,}\s[a-z]{2,}\s[a-z]{2,}", cell) for cell in cells)
+        aligned.append(ruler.replace("---:", "---") if is_text else ruler)
+    return "\n".join([rows[0], "|" + "|".join(aligned) + "|", *rows[2:]]) + "\n" if len(rows) > 2 else table
 
 
 def _entries(pages: list[Page]) -> list[dict[str, str]]:
