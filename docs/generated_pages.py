@@ -1,7 +1,8 @@
 """Pages of the documentation that are made from the project itself, when `mkdocs build` calls these hooks.
 
 The reference of commands and configurations comes from the comments in `conf/`, that of the code from its docstrings,
-the notebooks' pages from the notebooks; the architecture and the changelog lie at the top of the repository.
+the notebooks' pages from the notebooks, those of results from what was computed; the architecture and the changelog lie
+at the top of the repository.
 """
 
 import html
@@ -13,6 +14,7 @@ from pathlib import Path
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from nbconvert import MarkdownExporter
+from result_pages import creates_page, experiment_entries, pipeline_page
 
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.commands.option_help import ConfigFile, Option
@@ -20,7 +22,6 @@ from swarmtwin.commands.option_help import ConfigFile, Option
 REPOSITORY = Path(__file__).resolve().parents[1]
 CONF = REPOSITORY / "conf"
 PACKAGE = REPOSITORY / "src" / "swarmtwin"
-EXPERIMENTS = sorted((REPOSITORY / "docs" / "results" / "paper").glob("*/report.md"))  # dvc pull
 NOT_API = {"commands", "studies"}  # of the code: commands have pages of their own, studies are run and not imported
 
 
@@ -38,7 +39,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Append the generated pages to the navigation."""
     assert config.nav is not None
     config.nav += [
-        {"The paper's tables and figures": [_of_experiment(page) for page in sorted(EXPERIMENTS, key=_place)]},
+        *experiment_entries(),
         {"Notebooks": _entries(notebook_pages())},
         {
             "Reference": [
@@ -64,6 +65,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         *api_pages(),
         top_page("ARCHITECTURE.md", "architecture.md"),
         top_page("CHANGELOG.md", "changelog.md"),
+        Page("results/pipeline.md", "What make run shows", pipeline_page()),
+        Page("results/creates/diagnosis.md", "Diagnosis of real robots", creates_page()),
     ]:
         files.append(File.generated(config, page.path, content=page.content))
         for name, image in page.images:
@@ -91,18 +94,6 @@ def _words_on_the_left(table: str) -> str:
 
 def _entries(pages: list[Page]) -> list[dict[str, str]]:
     return [{page.title: page.path} for page in pages]
-
-
-def _of_experiment(report: Path) -> dict[str, str]:
-    """Return the entry of a page that an experiment wrote, without the robot's name."""
-    title = report.read_text().partition("\n")[0].removeprefix("# ").partition(":")[0]
-    return {title: report.relative_to(REPOSITORY / "docs").as_posix()}
-
-
-def _place(report: Path) -> tuple[bool, int]:
-    """Say where a page stands: tables before figures, each by its number."""
-    name = report.parent.name
-    return name.startswith("figure"), int("".join(sign for sign in name if sign.isdigit()))
 
 
 def top_page(name: str, path: str) -> Page:

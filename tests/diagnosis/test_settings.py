@@ -59,3 +59,9 @@ def test_a_dependence_that_is_too_small_for_the_settings_does_not_matter(robots)
     assert found["heading"].found
     strict = DependenceSettings(least_explained=2 * found["heading"].explained)
     assert not any(test.found for test in dependence_tests(measured, reference, 4, strict) if test.part == "heading")
+
+
+@pytest.mark.parametrize("name", ["running_means", "ridges"])
+def test_candidates_of_which_there_is_none_are_refused(name):
+    with pytest.raises(UserError, match=rf"here: field 'flexible.{name}'.*at least 1 item"):
+        DiagnosisSettings.parse({"flexible": {name: []}}, "here")

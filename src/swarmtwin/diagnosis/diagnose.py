@@ -185,7 +185,7 @@ def usual_of(reference: Reference) -> Usual:
         model = own()
         return max(nats_by_history(model, model.evaluate([])), 0.0) / len(model.session)
 
-    return Usual(lambda: own().motion_noise_log()[0], history_nats)
+    return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session))
 
 
 def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:

@@ -1,7 +1,8 @@
 """Step 3, its end: what causes explain of what can be explained at all, and whether the motion is more random."""
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from scipy import special, stats
 from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
-from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.result import Verdict
 from swarmtwin.diagnosis.settings import DiagnosisSettings
@@ -34,6 +35,29 @@ class MotionNoiseChange(NamedTuple):
     probability: float
 
 
+class LeftOver(NamedTuple):
+    """What a set of causes leaves over, in nats on runs that a regression has not seen.
+
+    Attributes:
+        by_situation: that a flexible regression on the situation gains.
+        by_history: that one on the errors before gains, beyond what it may gain on the reference.
+        uncertainty: that the first one is expected to gain by the simulation's own uncertainty, where that was asked.
+        most_uncertainty: that it may gain so at most.
+        most_lasting_uncertainty: that the second one may gain so at most.
+    """
+
+    by_situation: float
+    by_history: float
+    uncertainty: float = 0.0
+    most_uncertainty: float = 0.0
+    most_lasting_uncertainty: float = 0.0
+
+    @property
+    def nats(self) -> float:
+        """What can still be explained."""
+        return max(self.by_situation, self.by_history)
+
+
 @dataclass(frozen=True)
 class Explanation:
     """What the causes of a session explain, and what they leave.
@@ -43,8 +67,7 @@ class Explanation:
         posterior: over sets of causes.
         best: the most probable set, estimated anew in that model.
         gained: nats that it gains over no cause.
-        left: nats that a flexible regression on the situation still gains on runs that it has not seen.
-        lasting: nats that one on the errors before gains likewise, beyond what it gains on the reference.
+        left: what they leave over, in nats.
         motion_noise: how random the motion is beside these causes.
     """
 
@@ -52,14 +75,13 @@ class Explanation:
     posterior: CausePosterior
     best: EstimatedSet
     gained: float
-    left: float
-    lasting: float
+    left: LeftOver
     motion_noise: MotionNoiseChange
 
     @property
     def share(self) -> float:
         """Share of what can be explained at all that the causes explain."""
-        return float(np.clip(self.gained / max(self.gained + max(self.left, self.lasting), 1e-9), 0.0, 1.0))
+        return float(np.clip(self.gained / max(self.gained + self.left.nats, 1e-9), 0.0, 1.0))
 
     @property
     def alarm(self) -> float:
@@ -69,18 +91,35 @@ class Explanation:
 
     @property
     def is_something_left(self) -> bool:
-        """Whether more is left over than chance, and than another form of the same causes would leave."""
+        """Whether more is left over than chance, another form of the same causes, and an uncertain simulation leave."""
+        left = self.left
+        return self._is_too_much(
+            left.by_situation - left.most_uncertainty, left.by_history - left.most_lasting_uncertainty
+        )
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the causes gain no more than the simulation's own uncertainty would."""
+        return self.gained <= self.left.uncertainty
+
+    @property
+    def _may_be_something_left(self) -> bool:
+        """Likewise, were the simulation certain."""
+        return self._is_too_much(self.left.by_situation, self.left.by_history)
+
+    def _is_too_much(self, by_situation: float, by_history: float) -> bool:
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
-        lasts = self.lasting > self.alarm + settings.most_lasting * gained
-        return lasts or self.left > self.alarm + settings.most_left * gained
+        lasts = by_history > self.alarm + settings.most_lasting * gained
+        return lasts or by_situation > self.alarm + settings.most_left * gained
 
     @property
     def names(self) -> tuple[str, ...]:
         """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
 
-        None where much is left: a name would be made up.
+        None where much is left, be it the simulation's uncertainty, or where that would gain as much: a name would be
+        made up.
         """
-        if self.is_something_left:
+        if self._may_be_something_left or self.is_uncertain:
             return ()
         settings, posterior = self.model.settings.search, self.posterior
         named = []
@@ -94,7 +133,9 @@ class Explanation:
     @property
     def names_motion_noise(self) -> bool:
         """Whether the motion's randomness is a cause."""
-        return not self.is_something_left and self.motion_noise.probability >= self.model.settings.search.named_from
+        return (
+            not self._may_be_something_left and self.motion_noise.probability >= self.model.settings.search.named_from
+        )
 
     @property
     def verdict(self) -> Verdict:
@@ -103,7 +144,7 @@ class Explanation:
             return "unexplained"
         if self.names or self.names_motion_noise:
             return "explained"
-        return "unexplained" if self.best.names else "no_gap"
+        return "unexplained" if self.best.names and not self.is_uncertain else "no_gap"
 
     @cached_property
     def mechanisms(self) -> tuple[Mechanism, ...]:
@@ -117,10 +158,12 @@ class Usual(NamedTuple):
     Attributes:
         noise_log: the log of the factor on the noise of the reference's own motion.
         history_nats: nats a transition that its own errors gain by those before them.
+        transitions: how many these nats are known from.
     """
 
     noise_log: Callable[[], float] = float
     history_nats: Callable[[], float] = float
+    transitions: Callable[[], int] = lambda: 1
 
 
 def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual | None = None) -> Explanation:
@@ -134,33 +177,61 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
     usual = usual or Usual()
     refined = model.explained_by(posterior.best.mechanisms)
     best = estimate(refined, posterior.best.mechanisms, polish=True, smooth=True)
-    nothing = refined.evaluate([])
-    return Explanation(
-        refined,
-        posterior,
-        best,
-        best.fitted.total - nothing.total,
-        _nats_left(refined, best),
-        _nats_lasting(refined, best, usual.history_nats),
-        _motion_noise(refined, best.mechanisms, usual.noise_log),
-    )
+    gained = best.fitted.total - refined.evaluate([]).total
+    noise = _motion_noise(refined, best.mechanisms, usual.noise_log)
+    return Explanation(refined, posterior, best, gained, _left_over(refined, best, gained, usual), noise)
 
 
-def _nats_left(model: SessionLikelihood, best: EstimatedSet) -> float:
-    """Return the nats that a flexible regression gains on what a set of causes leaves, on runs that it has not seen."""
-    errors = model.errors_left(best.mechanisms) - best.fitted.effect_errors
+def _left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual: Usual) -> LeftOver:
+    fitted, settings = best.fitted, model.settings.verdict
+    errors = model.errors_left(best.mechanisms) - fitted.effect_errors
+    by_situation, by_history = _nats_by_situation(model, fitted, errors), nats_by_history(model, fitted)
+    could_be = float((model.filter(model.disagreement) ** 2).sum()) / 2  # nats, were all of it predicted
+    if max(by_situation, by_history) <= settings.alarm_nats and (not best.names or gained > could_be):
+        return LeftOver(by_situation, by_history)
+    drawn = nats_of_uncertainty(model, fitted, settings.uncertainty_draws)
+    expected, spread = drawn.mean(axis=0), drawn.std(axis=0)
+    most = np.maximum(expected + settings.uncertainty_spreads * spread, 0.0)
+    usual_nats, ratio = usual.history_nats() * len(model.session), len(model.session) / usual.transitions()
+    # half a squared normal variate, nearly: its standard error is the root of twice as many
+    usual_nats += settings.uncertainty_spreads * math.sqrt(2 * usual_nats * (1 + ratio))
+    return LeftOver(by_situation, by_history - usual_nats, max(float(expected[0]), 0.0), float(most[0]), float(most[1]))
+
+
+def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, errors: np.ndarray) -> float:
+    """Return the nats by which errors (N, 3) are likelier, given what a regression on the situation says of them."""
     spread = model.noise.spread(model.motion)
-    expected = model.filter(model.flexible.predicted(errors, spread, model.weight)[..., None])[..., 0]
-    residual, freedom = best.fitted.residual, model.noise.degrees_of_freedom
-    scale = best.fitted.scale
-    before, after = (log_density(one / scale, freedom) for one in (residual, residual - expected))
+    predicted = model.flexible.predicted(errors, spread, model.weight)
+    residual, expected = (model.filter(one[..., None])[..., 0] for one in (errors, predicted))
+    freedom = model.noise.degrees_of_freedom
+    before, after = (log_density(one / fitted.scale, freedom) for one in (residual, residual - expected))
     return float((after - before).sum())
 
 
-def _nats_lasting(model: SessionLikelihood, best: EstimatedSet, usual_nats: Callable[[], float]) -> float:
-    """Return the nats that errors gain by those before them, beyond the reference's; it is asked where they alarm."""
-    nats = nats_by_history(model, best.fitted)
-    return nats - usual_nats() * len(model.session) if nats > model.settings.verdict.alarm_nats else nats
+def nats_of_uncertainty(model: SessionLikelihood, fitted: FittedMechanisms, draws: int) -> np.ndarray:
+    """Return (draws, 2) the nats that both regressions gain where nothing but the simulation is uncertain.
+
+    It was learned from so many transitions, and what it therefore gets wrong is the same each time that a vehicle comes
+    by: a regression on a long session, or on one of other commands than the reference's, finds it. As members that have
+    seen different runs disagree (jackknife), errors are drawn, and added to noise in which nothing depends on anything:
+    the session's own, in another order.
+
+    Args:
+        model: of N transitions.
+        fitted: mechanisms, and the errors that they leave.
+        draws: of the simulation's error and of the order.
+    """
+    directions = model.filter(model.disagreement)
+    members = directions.shape[-1]
+    found = np.zeros((draws, 2))
+    if not members:
+        return found
+    rng = np.random.default_rng(0)
+    for number in range(draws):
+        residual = rng.permutation(fitted.residual) + directions @ rng.normal(size=members)
+        by_situation = _nats_by_situation(model, fitted, model.filter.inverse(residual))
+        found[number] = by_situation, nats_by_history(model, replace(fitted, residual=residual))
+    return found
 
 
 def _motion_noise(
@@ -186,7 +257,10 @@ def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
     grown = settings.growth_spread * model.reference_noise.log_from_usual(model.motion)
-    return float(np.linalg.norm([usual, grown, _share_of_motion(model, mechanisms)]))
+    wrong = float(
+        (model.filter(model.disagreement) ** 2).sum(axis=-1).mean()
+    )  # of the simulation, in its noise's units
+    return float(np.linalg.norm([usual, grown, math.log1p(wrong) / 2, _share_of_motion(model, mechanisms)]))
 
 
 def _share_of_motion(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:

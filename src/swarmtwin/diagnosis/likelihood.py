@@ -18,7 +18,7 @@ from swarmtwin.diagnosis.noise import Noise, log_density
 from swarmtwin.diagnosis.random_effects import (
     RandomEffects,
     form_effects,
-    simulation_effects,
+    member_disagreement,
     unit_effects,
     unit_effects_of_outcomes,
 )
@@ -108,6 +108,11 @@ class SessionLikelihood(SessionErrors):
         return self._discrepancy.expected(self)
 
     @cached_property
+    def disagreement(self) -> np.ndarray:
+        """(N, 3, M) how the simulation's M members disagree."""
+        return member_disagreement(self)
+
+    @cached_property
     def correction(self) -> np.ndarray:
         """(N, 3) errors that the simulation is known to make, of its own reference as well."""
         return self.discrepancy[0]
@@ -120,8 +125,8 @@ class SessionLikelihood(SessionErrors):
     @cached_property
     def effects(self) -> RandomEffects:
         """Random effects without any mechanism: of units first."""
-        columns = [*unit_effects(self), *simulation_effects(self)]
-        together = np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
+        units = [one[..., None] for one in unit_effects(self)]
+        together = np.concatenate([*units, self.disagreement], axis=-1)
         own = RandomEffects.of(self._whitened(together), self.weight)
         return own.extended(self._whitened(self.discrepancy[1]))
 
@@ -250,7 +255,7 @@ class SessionLikelihood(SessionErrors):
             mechanisms,
         )
         other.predictor, other.flexible = self.predictor, self.flexible
-        other.discrepancy = self.discrepancy
+        other.discrepancy, other.disagreement = self.discrepancy, self.disagreement
         return other
 
     # what mechanisms are made of

@@ -92,16 +92,18 @@ class RandomEffects:
         return np.concatenate([block.T @ weighted for block in self.columns])
 
 
-def simulation_effects(model: SessionErrors) -> Iterator[np.ndarray]:
-    """Yield (N, 3) how the simulation's members disagree, as a jackknife over folds of runs has it."""
+def member_disagreement(model: SessionErrors) -> np.ndarray:
+    """Return (N, 3, M) how the simulation's M members disagree, as a jackknife over folds of runs has it.
+
+    The sum of the squares of these is the variance of what the simulation gets wrong for want of data.
+    """
     members = model.members
-    if members > 1:
-        twists = [model.predictor.with_member(member).twist(()) for member in range(members)]
-        changes = [model.changes_of(twist) for twist in twists]
-        mean = np.mean(changes, axis=0)
-        factor = math.sqrt((members - 1) / members)
-        for change in changes:
-            yield factor * (change - mean)
+    if members < 2:
+        return np.zeros((len(model.session), 3, 0))
+    twists = (model.predictor.with_member(member).twist(()) for member in range(members))
+    changes = np.stack([model.changes_of(twist) for twist in twists], axis=-1)
+    disagreement: np.ndarray = math.sqrt((members - 1) / members) * (changes - changes.mean(axis=-1, keepdims=True))
+    return disagreement
 
 
 def smooth_functions(session: MeasuredSession) -> np.ndarray:

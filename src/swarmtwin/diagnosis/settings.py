@@ -13,6 +13,7 @@ from swarmtwin.robot import Positive, StrictModel
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 NonNegative = Annotated[float, Field(ge=0)]
+Candidates = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
 
 class ReferenceSettings(StrictModel):
@@ -76,13 +77,13 @@ class FlexibleSettings(StrictModel):
     """
 
     folds: Annotated[int, Field(ge=2)] = 4
-    ridges: tuple[Positive, ...] = (0.01, 0.1, 1.0, 10.0)
+    ridges: Candidates = (0.01, 0.1, 1.0, 10.0)
     clip_z: Positive = 6.0
     command_waves: Count = 30
     place_waves: Count = 40
     place_scale: Positive = 3.0
     time_waves: Count = 6
-    running_means: tuple[Positive, ...] = (2.0, 8.0, 40.0, 200.0)
+    running_means: Candidates = (2.0, 8.0, 40.0, 200.0)
 
 
 class UnitSettings(StrictModel):
@@ -231,6 +232,8 @@ class VerdictSettings(StrictModel):
         held_out_every: of so many runs the last is held out: nothing is fitted to it, gains are measured on it.
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
+        uncertainty_draws: of the simulation's own error, for what it would leave over where nothing is wrong.
+        uncertainty_spreads: standard deviations over draws by which that may lie above their mean.
         most_left: of what the causes gain that may be left over: another form of the same causes leaves as much.
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
         gain_draws: bootstraps over runs for the gain's interval.
@@ -240,6 +243,8 @@ class VerdictSettings(StrictModel):
     held_out_every: Annotated[int, Field(ge=2)] = 4
     alarm_nats: Positive = 15.0
     alarm_nats_a_transition: NonNegative = 0.002
+    uncertainty_draws: Count = 12
+    uncertainty_spreads: NonNegative = 2.0
     most_left: Share = 0.1
     most_lasting: Share = 0.03
     gain_draws: Count = 1000

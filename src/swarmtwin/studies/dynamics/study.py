@@ -86,7 +86,7 @@ def run(options: Options) -> dict[str, Any]:
                 tracked.metrics({f"{entry.name}/{recording}/{key}": value for key, value in figures.items()})
         tracked.tag("best_model", best.name)
         tracked.folder(folder, "comparison")
-    Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
+    Console().print(model_table(options.robot.title, pd.read_csv(options.output / "table.csv")).drawn())
     one_step = best.measurements["train_vehicle"].overall.one_step
     figures = {"position_mm": one_step.position_mm, "orientation_deg": one_step.orientation_deg}
     return {"best_model": best.name, **figures, "output": str(options.output)}

@@ -3,10 +3,9 @@
 from typing import Any
 
 import pandas as pd
-from rich import box
-from rich.table import Table
 
 from swarmtwin.simulation.evaluation import Figures
+from swarmtwin.studies.study_table import StudyTable
 
 
 def figure_columns(figures: Figures) -> dict[str, Any]:
@@ -29,63 +28,49 @@ def figure_columns(figures: Figures) -> dict[str, Any]:
     return {**columns, **kinds}
 
 
-def model_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+def model_table(title: str, table: pd.DataFrame) -> StudyTable:
     """Return the floors, given the situation and given the commands before as well, then each model of table.csv.
 
-    What a person reads of it, errors as mean ± standard deviation, first in mm, then in degrees; `best` erred least on
-    the validation runs.
+    Errors are mean ± standard deviation, first in mm, then in degrees.
     """
     models = list(table.model.unique())
     first = table[table.model == models[0]].set_index("recording")
     rows = []
-    for title, name in (("floor", "floor"), ("floor, history", "floor_given_history")):
-        if f"{name}_kind" in first and pd.notna(first[f"{name}_kind"].iloc[0]):
-            floor: dict[str, Any] = {
-                "model": title if first[f"{name}_kind"].iloc[0] == "exact" else f"{title} ≈",
-                "parameters": "",
-                **{place: _errors(first.loc[place], name) for place in ("train_vehicle", "other_vehicle")},
-            }
-            rows.append(floor | {"model_error": [], "open_loop": "", "dead_seeds": "", "best": False})
+    for name, column in (("floor", "floor"), ("floor, history", "floor_given_history")):
+        if f"{column}_kind" in first and pd.notna(kind := first[f"{column}_kind"].iloc[0]):
+            places = (_errors(first.loc[place], column) for place in ("train_vehicle", "other_vehicle"))
+            rows.append([name if kind == "exact" else f"{name} ≈", *places, "", "", ""])
+    floors = len(rows)
+    marked = []
     for model in models:
-        part = table[table.model == model].set_index("recording")
-        train, other, loop = (part.loc[name] for name in ("train_vehicle", "other_vehicle", "open_loop"))
+        own = table[table.model == model].set_index("recording")
+        train, other, loop = (own.loc[name] for name in ("train_vehicle", "other_vehicle", "open_loop"))
+        marked += [len(rows)] if bool(train.best) else []
         rows.append(
-            {
-                "model": model,
-                "parameters": f"{train.parameters:,}",
-                "train_vehicle": _errors(train, "one_step"),
-                "other_vehicle": _errors(other, "one_step"),
-                "model_error": _errors(train, "model_error"),
-                "open_loop": f"{loop.open_loop_mm:.0f} ± {loop.open_loop_sd_mm:.0f}",
-                "dead_seeds": f"{train.dead_seeds} of {train.seeds}",
-                "best": bool(train.best),
-            }
+            [
+                f"{model}\n{train.parameters:,}",
+                _errors(train, "one_step"),
+                _errors(other, "one_step"),
+                _errors(train, "model_error"),
+                f"{loop.open_loop_mm:.0f} ± {loop.open_loop_sd_mm:.0f}",
+                f"{train.dead_seeds} of {train.seeds}",
+            ]
         )
-    return rows
-
-
-def model_table(title: str, table: pd.DataFrame) -> Table:
-    """Return the terminal's table: the floors, then a row for each model."""
-    title = f"{title}: errors on runs the models have not seen"
-    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=title)
-    shown.add_column("\nmodel", no_wrap=True, min_width=14)
     figures = ("train vehicle\nmm, °", "other vehicle\nmm, °", "model error\nmm, °", "open loop\nmm")
-    for heading in (*figures, "dead\nseeds"):
-        shown.add_column(heading, justify="right", no_wrap=True)
-    for row in model_rows(table):
-        name = f"{row['model']} *" if row["best"] else row["model"]
-        errors = ("\n".join(row[column]) for column in ("train_vehicle", "other_vehicle", "model_error"))
-        style = "dim" if name.startswith("floor") else None
-        shown.add_row(name, *errors, row["open_loop"], row["dead_seeds"], style=style)
-    shown.caption = (
-        "mean ± standard deviation, position above orientation; * best on validation runs; floor: of the best model "
-        "with the robot's situation, with the commands before as well; ≈ estimated"
+    return StudyTable(
+        f"{title}: errors on runs the models have not seen",
+        ("model\nparameters", *figures, "dead\nseeds"),
+        rows,
+        "mean ± standard deviation, position above orientation; bold: least error on the validation runs, by which it "
+        "was chosen; floor: of the best model with the robot's situation, with the commands before as well; ≈ "
+        "estimated; model error: distance to the stand-in's exact mean displacement",
+        floors=floors,
+        marked=marked,
     )
-    return shown
 
 
-def _errors(row: pd.Series, name: str) -> list[str]:
+def _errors(row: pd.Series, name: str) -> str:
     if pd.isna(row[f"{name}_position_mm"]):
-        return []
+        return ""
     position = f"{row[f'{name}_position_mm']:.2f} ± {row[f'{name}_position_sd_mm']:.2f}"
-    return [position, f"{row[f'{name}_orientation_deg']:.2f} ± {row[f'{name}_orientation_sd_deg']:.2f}"]
+    return f"{position}\n{row[f'{name}_orientation_deg']:.2f} ± {row[f'{name}_orientation_sd_deg']:.2f}"

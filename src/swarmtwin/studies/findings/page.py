@@ -35,7 +35,7 @@ def page_text(
     parts += ["## How little real data is enough", *_enough(collected)]
     parts += ["## What knowing the previous commands gains", *_gains(gains)]
     parts += ["## How far the stand-ins are from the paper's robots", *_distances(distances)]
-    parts += ["## What this rests on", _without_heading(_rests_on(collected))]
+    parts += ["## What this rests on", _rests_on(collected).markdown().strip()]
     parts += [f"![{caption}]({name})" for name, caption in pictures.items()]
     return "\n\n".join(parts) + "\n"
 
@@ -110,7 +110,7 @@ def _gains(gains: Sequence[FloorGain]) -> Iterator[str]:
         for gain in gains
     ]
     headings = ("robot", "measured on", "position floor, mm", "less", "orientation floor, °", "less")
-    yield _without_heading(StudyTable("", headings, rows))
+    yield StudyTable("", headings, rows).markdown().strip()
     yield "What a model with the history makes of it stands among the claims."
 
 
@@ -139,11 +139,7 @@ def _distances(distances: Sequence[PaperDistance]) -> Iterator[str]:
         "ours as a share of the paper's: median (range)",
         "rank correlation",
     )
-    yield _without_heading(StudyTable("", headings, rows))
-
-
-def _without_heading(table: StudyTable) -> str:
-    return table.markdown().partition("\n")[2].strip()
+    yield StudyTable("", headings, rows).markdown().strip()
 
 
 def _rests_on(collected: Sequence[Collected]) -> StudyTable:
@@ -172,4 +168,4 @@ def _rests_on(collected: Sequence[Collected]) -> StudyTable:
         "trainings",
         "minutes",
     )
-    return StudyTable("Experiments", headings, rows)
+    return StudyTable("", headings, rows)

@@ -17,9 +17,9 @@ from swarmtwin.diagnosis.saved_diagnosis import RESULT, read_result
 from swarmtwin.dynamics.model_folder import read_description
 from swarmtwin.files import new_folder
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.studies.dynamics.table import model_rows, model_table
-from swarmtwin.studies.synthetic.table import case_rows, case_table
-from swarmtwin.studies.transfer.table import policy_rows, policy_table
+from swarmtwin.studies.dynamics.table import model_table
+from swarmtwin.studies.synthetic.table import case_table
+from swarmtwin.studies.transfer.table import policy_table
 from swarmtwin.tracking import registry
 from swarmtwin.transitions import Preparation, load_preparation
 
@@ -102,13 +102,13 @@ def run(options: Options) -> dict[str, Any]:
         for warning in chapter.preparation.warnings:
             console.print(f"warning: {chapter.robot.name}: {warning}", highlight=False, soft_wrap=True)
     for chapter in chapters:
-        console.print(model_table(chapter.robot.title, chapter.models))
+        console.print(model_table(chapter.robot.title, chapter.models).drawn())
     for chapter in chapters:
         if chapter.cases is not None:
-            console.print(case_table(chapter.robot.title, chapter.cases))
+            console.print(case_table(chapter.robot.title, chapter.cases).drawn())
     for chapter in chapters:
         if chapter.policies is not None:
-            console.print(policy_table(chapter.robot.title, chapter.policies))
+            console.print(policy_table(chapter.robot.title, chapter.policies).drawn())
     for chapter in chapters:
         if chapter.diagnosis is not None:
             verdict = verdict_words(chapter.diagnosis)
@@ -199,8 +199,9 @@ def _registry_table(chapters: list[Chapter]) -> Table:
 
 def _page(chapters: list[Chapter]) -> str:
     environment = Environment(loader=PackageLoader("swarmtwin.studies.overview", "."), autoescape=True)
-    rows = {"model_rows": model_rows, "case_rows": case_rows, "policy_rows": policy_rows}
-    environment.filters.update(embedded=_embedded, verdict_words=verdict_words, gain_bars=gain_bars, **rows)
+    tables = {"model_table": model_table, "case_table": case_table, "policy_table": policy_table}
+    environment.globals.update(tables)
+    environment.filters.update(embedded=_embedded, verdict_words=verdict_words, gain_bars=gain_bars)
     return environment.get_template("page.html.jinja").render(chapters=chapters)
 
 

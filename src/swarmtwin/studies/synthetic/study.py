@@ -122,7 +122,7 @@ def run(options: Options) -> dict[str, Any]:
             figures = {name: row[name] for name in ERRORS if row[name] is not None}
             tracked.metrics({f"{row['case']}/{row['recording']}/{name}": value for name, value in figures.items()})
         tracked.folder(folder, "comparison")
-    Console().print(case_table(options.robot.title, table))
+    Console().print(case_table(options.robot.title, table).drawn())
     measured = table[table.recording == "train_vehicle"].dropna(subset="position_mm").sort_values("position_mm")
     figures = {f"best_{name}": row[name] for row in measured.head(1).to_dict("records") for name in ("case", *ERRORS)}
     return {**figures, "output": str(options.output)}

@@ -31,7 +31,7 @@ def report_text(
     parts = [f"# {title}", f"In the paper: {shows}", about, table.markdown().strip(), CAPTION]
     parts += [f"![{name}]({name})" for name in pictures]
     if claims:
-        parts.append("## What the paper claims")
+        parts.append("## What is claimed" if all(claim.ours for claim in claims) else "## What the paper claims")
         parts += [claim_text(claim) for claim in claims]
     if enough:
         parts += ["## How little real data is enough", "\n".join(f"- {one.sentence}." for one in enough)]

@@ -233,5 +233,7 @@ def brief_table(table: pd.DataFrame, title: str) -> StudyTable:
                 "; ".join(filter(None, stated)),
             ]
         )
-    headings = ("trained", "real\nseen", "other\nvehicle, mm", "°", "open loop\nmm", "the paper's\nmm; °")
+    headings = ["trained", "real\nseen", "other\nvehicle\nmm", "\n\n°", "open\nloop\nmm", "the\npaper's\nmm; °"]
+    if not any(row[-1] for row in rows):
+        headings, rows = headings[:-1], [row[:-1] for row in rows]
     return StudyTable(title, headings, rows)

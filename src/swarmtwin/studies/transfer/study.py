@@ -79,7 +79,7 @@ def run(options: Options) -> dict[str, Any]:
         for entry in entries:
             tracked.metrics(tracked_figures(entry.metrics, f"{entry.name}/"))
         tracked.folder(folder, "transfer")
-    Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")))
+    Console().print(policy_table(options.robot.title, pd.read_csv(options.output / "table.csv")).drawn())
     Console().print(f"pictures and films: {options.output}", highlight=False, soft_wrap=True)
     success = {
         f"{motion}_success": float(np.mean([entry.metrics[motion]["success"]["value"] for entry in entries]))

@@ -3,46 +3,38 @@
 from typing import Any
 
 import pandas as pd
-from rich import box
-from rich.table import Table
 
 from swarmtwin.policies.rollout_comparison import MOTION_NAMES
+from swarmtwin.studies.study_table import StudyTable
 
 
-def policy_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return each policy of table.csv as a person reads it; of two figures the simulation's stands first."""
-    return [
-        {
-            "policy": row["policy"],
-            "learned_in": row["simulation"],
-            "where": list(MOTION_NAMES.values()),
-            "reward": [f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}" for motion in MOTION_NAMES],
-            "difference": f"{row['reward_difference_percent_value']:+.1f}",
-            "success": [_rate(row, f"{motion}_success") for motion in MOTION_NAMES],
-            "collisions": [f"{row[f'{motion}_collision']:.0%}" for motion in MOTION_NAMES],
-            "time_s": [f"{row[f'{motion}_reach_time_s']:.0f}" for motion in MOTION_NAMES],
-        }
+def policy_table(title: str, table: pd.DataFrame) -> StudyTable:
+    """Return each policy of table.csv, two lines for each: what is rolled out in simulation, and on stand-ins."""
+    rows = [
+        [
+            row["policy"],
+            "\n".join(MOTION_NAMES.values()),
+            *map("\n".join, zip(*(_figures(row, motion) for motion in MOTION_NAMES), strict=True)),
+            f"\n{row['reward_difference_percent_value']:+.1f}",
+        ]
         for row in table.to_dict("records")
     ]
-
-
-def policy_table(title: str, table: pd.DataFrame) -> Table:
-    """Return the terminal's table: two lines for each policy."""
-    shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    shown.title = f"{title}: policies on {int(table.rollouts.iloc[0])} equal starts"
-    shown.add_column("\npolicy", no_wrap=True)
-    shown.add_column("\nin", no_wrap=True)
-    for heading in ("\nreward", "\nsuccess", "colli-\nsions", "time\ns", "diffe-\nrence %"):
-        shown.add_column(heading, justify="right", no_wrap=True)
-    for row in policy_rows(table):
-        pairs = ("\n".join(row[column]) for column in ("where", "reward", "success", "collisions", "time_s"))
-        shown.add_row(row["policy"], *pairs, f"\n{row['difference']}")
-    shown.caption = (
+    return StudyTable(
+        f"{title}: policies of {' and '.join(table.simulation.unique())} on {table.rollouts.iloc[0]} equal starts",
+        ("\npolicy", "\nin", "\nreward", "\nsuccess", "colli-\nsions", "time\ns", "diffe-\nrence %"),
+        rows,
         "stand-ins: other vehicles than the one recorded; reward a vehicle and step, mean ± standard deviation; "
-        "success with its 95 % interval; difference: of the reward, stand-ins against simulation"
+        "success with its 95 % interval: all vehicles reach the target, and nothing ever collides or leaves the arena; "
+        "difference: of the reward, stand-ins against simulation",
+        left=(1,),
     )
-    return shown
 
 
-def _rate(row: dict[Any, Any], name: str) -> str:
-    return f"{row[name]:.0%} ({100 * row[f'{name}_low']:.0f} to {100 * row[f'{name}_high']:.0f})"
+def _figures(row: dict[Any, Any], motion: str) -> tuple[str, str, str, str]:
+    low, high = (100 * row[f"{motion}_success_{end}"] for end in ("low", "high"))
+    return (
+        f"{row[f'{motion}_reward']:.2f} ± {row[f'{motion}_reward_sd']:.2f}",
+        f"{row[f'{motion}_success']:.0%} ({low:.0f} to {high:.0f})",
+        f"{row[f'{motion}_collision']:.0%}",
+        f"{row[f'{motion}_reach_time_s']:.0f}",
+    )

@@ -1,0 +1,135 @@
+"""The pages of results, from what the pipelines computed and pushed: nothing on them is typed."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import yaml
+
+from swarmtwin.diagnosis.report.page import gain_bars
+from swarmtwin.diagnosis.result import Cause, DiagnosisResult
+from swarmtwin.robot import Robot
+from swarmtwin.studies.dynamics.table import model_table
+from swarmtwin.studies.study_table import StudyTable
+from swarmtwin.studies.synthetic.table import case_table
+from swarmtwin.studies.transfer.table import policy_table
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+ARTIFACTS = REPOSITORY / "artifacts"
+RESULTS = REPOSITORY / "docs" / "results"
+EXPERIMENTS = {  # navigation's title of the pages that experiments wrote: where their folders lie
+    "The paper's tables and figures": "paper",
+    "All models": "models",
+    "All generators": "generators",
+    "Real robots": "creates",
+}
+
+
+def pipeline_page() -> str:
+    """Return the tables of `make run` as the pipeline's lock has them.
+
+    Raises:
+        FileNotFoundError: they were not pulled.
+    """
+    pipeline = yaml.safe_load((REPOSITORY / "conf" / "pipeline.yaml").read_text())
+    seeds = pipeline["seeds"]
+    parts = [
+        "# What `make run` shows",
+        "These are the tables that the pipeline printed last, from its pushed outputs. It trains "
+        f"{'one seed' if seeds == 1 else f'{seeds} seeds'} of each model, so that its tables show whether everything "
+        "works, and not which model is best: [several seeds of each, with intervals](models/mgr/report.md), are "
+        "experiments of their own. Errors are those of runs that no model has seen.",
+    ]
+    for name in pipeline["robots"]:
+        robot = Robot.load(REPOSITORY / "conf" / "robot" / f"{name}.yaml")
+        parts += [
+            model_table(robot.title, _table("comparison", name)).markdown(),
+            case_table(robot.title, _table("real_and_synthetic", name)).markdown(),
+        ]
+    parts.append(_scenarios(pipeline["policies"]).markdown())
+    parts += [policy_table(name.upper(), _table("transfer", name)).markdown() for name in pipeline["robots"]]
+    return "\n\n".join(parts)
+
+
+def creates_page() -> str:
+    """Return what was diagnosed of the real robots, each against a simulation of the first of them.
+
+    Raises:
+        FileNotFoundError: it was not pulled.
+    """
+    rows = []
+    for folder in sorted((RESULTS / "creates").glob("robot_*")):
+        found = DiagnosisResult.model_validate_json((folder / "diagnosis.json").read_text())
+        likeliest = max(found.posterior, key=lambda one: one.probability)
+        errors = (f"{bar.before} → {bar.after}\n{bar.change}" if bar.after else bar.before for bar in gain_bars(found))
+        rows.append(
+            [
+                folder.name.removeprefix("robot_"),
+                found.verdict,
+                ",\n".join(map(_cause_words, found.causes)) or "none",
+                f"{', '.join(likeliest.causes) or 'nothing'} ({likeliest.probability:.0%})",
+                *errors,
+            ]
+        )
+    found_bars = [bar.title for bar in gain_bars(found)]
+    table = StudyTable(
+        "What was found",
+        ("robot", "verdict", "causes confirmed", "likeliest set", *found_bars),
+        rows,
+        "errors on held-out runs with the simulation as it was and as it is extended, and below the 95 % interval of "
+        "the gain; what is likeliest is named only where held-out runs confirm it and nothing of note is left",
+        left=(1, 2, 3),
+    )
+    return "\n\n".join(
+        [
+            "# Diagnosis of real robots",
+            "Five iRobot Creates of [MR.CLAM](https://doi.org/10.1177/0278364911398404), data set 6. A simulation was "
+            "learned from robot 1 and given the command alone, so that memory of earlier commands counts as a gap; the "
+            "others were each diagnosed against it. With the data set at hand, "
+            "`MRCLAM=DIR dvc repro docs/results/creates/dvc.yaml` computes this page and [the tables beside "
+            "it](models/report.md) anew.",
+            table.markdown(),
+        ]
+    )
+
+
+def _cause_words(cause: Cause) -> str:
+    values = (f"{one.value:.3g} {one.unit} ({one.low:.3g} to {one.high:.3g})" for one in cause.parameters.values())
+    return f"{cause.name} {', '.join(values)}"
+
+
+def experiment_entries() -> list[dict[str, list[dict[str, str]]]]:
+    """Return the navigation's entries of the pages that experiments wrote: tables before figures, by their numbers."""
+    return [
+        {title: [_entry(page) for page in sorted((RESULTS / folder).glob("*/report.md"), key=_place)]}
+        for title, folder in EXPERIMENTS.items()
+    ]
+
+
+def _table(of: str, robot: str) -> pd.DataFrame:
+    return pd.read_csv(ARTIFACTS / of / robot / "table.csv")
+
+
+def _scenarios(policies: dict[str, dict[str, str]]) -> StudyTable:
+    """Return how the policies did in new scenarios of their simulations, by which nothing was chosen."""
+    rows = []
+    for task, policy in policies.items():
+        test = json.loads((ARTIFACTS / "policies" / policy["robot"] / task / "metrics.json").read_text())["test"]
+        rates = [[100 * test[name][end] for end in ("value", "low", "high")] for name in ("success", "collision")]
+        shown = [f"{value:.1f} ({low:.1f} to {high:.1f})" for value, low, high in rates]
+        rows.append([task, policy["robot"], str(test["rollouts"]), *shown])
+    headings = ("task", "robot", "new scenarios", "success, %", "collisions, %")
+    caption = "in brackets 95 % intervals; nothing was chosen by these scenarios"
+    return StudyTable("Policies in the simulation that they were learned in", headings, rows, caption)
+
+
+def _entry(report: Path) -> dict[str, str]:
+    """Return the entry of a page that an experiment wrote; the robot's name where its title leaves it open."""
+    title, _, robot = report.read_text().partition("\n")[0].removeprefix("# ").partition(": ")
+    shown = title if report.parent.parent.name == "paper" else f"{title}, {robot}"
+    return {shown: report.relative_to(RESULTS.parent).as_posix()}
+
+
+def _place(report: Path) -> tuple[bool, int, str]:
+    name = report.parent.name
+    return name.startswith("figure"), int("0" + "".join(sign for sign in name if sign.isdigit())), name
