@@ -85,4 +85,4 @@ def test_a_gap_beyond_the_uncertainty_alarms(robots):
 def test_a_simulation_of_one_member_is_taken_as_certain(robots):
     base = ExactBase(robots["mgr"])
     model = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(1)))
-    assert not nats_of_uncertainty(model, model.evaluate([]), 3).any()
+    assert not nats_of_uncertainty(model, model.evaluate([]), model.disagreement, 3).any()

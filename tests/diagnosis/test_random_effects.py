@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from exact_base import ExactBase, known_noise, session_of
 
-from swarmtwin.diagnosis.random_effects import RandomEffects
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
+from swarmtwin.simulation.mechanism import mechanism_class
 
 COUNT = 20
 
@@ -59,3 +62,25 @@ def test_sizes_are_the_posterior_mean(effects, directions, covariance, rng):
 def test_the_determinant_is_that_by_which_the_covariance_grows(effects, covariance, weight):
     grown = np.linalg.slogdet(covariance)[1] + 3 * np.log(weight).sum()
     assert np.isclose(effects.log_determinant, grown)
+
+
+def explained_by_units(robot, name, **values):
+    """The share of what a mechanism changes that the differences between units can take over."""
+    base = ExactBase(robot)
+    session = session_of(base, np.random.default_rng(2), vehicle="2")
+    model = SessionLikelihood(base, known_noise(), session, known_vehicles=("1",))
+    columns = np.stack(list(unit_effects(model)), axis=-1).reshape(3 * len(session), -1)
+    change = (model.errors([mechanism_class(name).at(values)]) - model.errors([])).ravel()
+    left = change - columns @ np.linalg.lstsq(columns, change, rcond=None)[0]
+    return 1 - (left @ left) / (change @ change)
+
+
+def test_units_of_a_fin_differ_in_speed_trim_and_how_far_they_beat(robots):
+    assert explained_by_units(robots["mur"], "gain_change", gain=1.05) > 0.99
+    assert explained_by_units(robots["mur"], "actuator_asymmetry", angle_rad=0.02) > 0.99
+    assert explained_by_units(robots["mur"], "backlash", travel_rad=0.02) > 0.99
+
+
+def test_units_with_wheels_do_not_differ_by_where_they_are(robots):
+    assert explained_by_units(robots["mgr"], "gain_change", gain=1.05) > 0.99
+    assert explained_by_units(robots["mgr"], "steady_drift", x_mm_s=2.0, y_mm_s=0.0) < 0.1

@@ -1,20 +1,23 @@
 """The study's sessions: the same each time, effects as large as asked for, and nothing hidden in clean ones."""
 
 import dataclasses
+import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from exact_model import SESSION_S, conditions_of
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import residual_between
+from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.standin.effects import catalogue, parse_effects
 from swarmtwin.standin.session import StandInSession
 from swarmtwin.studies.hidden_effects import families
 from swarmtwin.studies.hidden_effects.cases import Case, cases
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
-from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS
+from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import size_that_raises
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 from swarmtwin.studies.hidden_effects.sessions import made_effects, record_session, reference_session, sized_entry
@@ -209,6 +212,18 @@ def test_every_effect_makes_sense_at_its_smallest_and_largest_size(robots):
             session = dataclasses.replace(reference_session(case, robots[robot]), vehicles=("1", "2"))
             for size in ends:
                 assert len(made_effects((sized_entry(name, size, case, session),), session)) == 1
+
+
+def test_every_hidden_effect_lies_within_what_its_mechanism_can_be(robots):
+    for name, sizes in CATALOGUE.items():
+        for robot, ends in sizes.items():
+            possible = mechanism_class(name).parameters_of(robots[robot], conditions_of(robots[robot]))
+            for size, seed in itertools.product(ends, range(5)):
+                drawn = Draw(size, robots[robot], 60.0, SESSION_S, np.random.default_rng(seed))
+                for parameter, value in PARAMETERS[name](drawn).items():
+                    if parameter in possible:
+                        allowed = possible[parameter]
+                        assert allowed.low <= value <= allowed.high, (name, robot, parameter, value)
 
 
 def test_an_engine_that_is_not_there_is_refused_with_the_remedy(monkeypatch):

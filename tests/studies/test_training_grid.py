@@ -360,7 +360,7 @@ def _shipped(scale):
 
 @pytest.mark.parametrize("scale", ["quick", "paper"])
 def test_every_claim_control_and_published_figure_has_its_trainings(scale):
-    assert len(GRIDS) == 11
+    assert len(GRIDS) == 12
     for options in shipped(scale):
         grid = options.grid
         for claim in options.claims:

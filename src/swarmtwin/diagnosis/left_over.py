@@ -14,6 +14,7 @@ from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density
+from swarmtwin.diagnosis.random_effects import member_disagreement
 from swarmtwin.diagnosis.result import Verdict
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.simulation.mechanism import Mechanism
@@ -107,6 +108,17 @@ class Explanation:
         """Likewise, were the simulation certain."""
         return self._is_too_much(self.left.by_situation, self.left.by_history)
 
+    @property
+    def _is_at_an_end(self) -> bool:
+        """Whether a parameter is at an end of its range where it does something: beyond it may fit better."""
+        nearest = self.model.settings.verdict.nearest_end
+        kinds = [type(one) for one in self.best.mechanisms]
+        for value, (_, _, parameter) in zip(self.best.values, self.model.parameters(kinds), strict=True):
+            ends = (end for end in (parameter.low, parameter.high) if parameter.null_value not in (None, end))
+            if any(abs(value - end) < nearest * parameter.size for end in ends):
+                return True
+        return False
+
     def _is_too_much(self, by_situation: float, by_history: float) -> bool:
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
         lasts = by_history > self.alarm + settings.most_lasting * gained
@@ -116,10 +128,10 @@ class Explanation:
     def names(self) -> tuple[str, ...]:
         """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
 
-        None where much is left, be it the simulation's uncertainty, or where that would gain as much: a name would be
-        made up.
+        None where much is left, be it the simulation's uncertainty, where that would gain as much, or where a value
+        runs to the end of what it can be: a name would be made up.
         """
-        if self._may_be_something_left or self.is_uncertain:
+        if self._may_be_something_left or self.is_uncertain or self._is_at_an_end:
             return ()
         settings, posterior = self.model.settings.search, self.posterior
         named = []
@@ -186,10 +198,11 @@ def _left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usua
     fitted, settings = best.fitted, model.settings.verdict
     errors = model.errors_left(best.mechanisms) - fitted.effect_errors
     by_situation, by_history = _nats_by_situation(model, fitted, errors), nats_by_history(model, fitted)
-    could_be = float((model.filter(model.disagreement) ** 2).sum()) / 2  # nats, were all of it predicted
+    disagreement = member_disagreement(model, arriving(best.mechanisms)) if best.names else model.disagreement
+    could_be = float((model.filter(disagreement) ** 2).sum()) / 2  # nats, were all of it predicted
     if max(by_situation, by_history) <= settings.alarm_nats and (not best.names or gained > could_be):
         return LeftOver(by_situation, by_history)
-    drawn = nats_of_uncertainty(model, fitted, settings.uncertainty_draws)
+    drawn = nats_of_uncertainty(model, fitted, disagreement, settings.uncertainty_draws)
     expected, spread = drawn.mean(axis=0), drawn.std(axis=0)
     most = np.maximum(expected + settings.uncertainty_spreads * spread, 0.0)
     usual_nats, ratio = usual.history_nats() * len(model.session), len(model.session) / usual.transitions()
@@ -208,7 +221,9 @@ def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, error
     return float((after - before).sum())
 
 
-def nats_of_uncertainty(model: SessionLikelihood, fitted: FittedMechanisms, draws: int) -> np.ndarray:
+def nats_of_uncertainty(
+    model: SessionLikelihood, fitted: FittedMechanisms, disagreement: np.ndarray, draws: int
+) -> np.ndarray:
     """Return (draws, 2) the nats that both regressions gain where nothing but the simulation is uncertain.
 
     It was learned from so many transitions, and what it therefore gets wrong is the same each time that a vehicle comes
@@ -219,9 +234,10 @@ def nats_of_uncertainty(model: SessionLikelihood, fitted: FittedMechanisms, draw
     Args:
         model: of N transitions.
         fitted: mechanisms, and the errors that they leave.
+        disagreement: (N, 3, M) of the simulation's members, with these mechanisms.
         draws: of the simulation's error and of the order.
     """
-    directions = model.filter(model.disagreement)
+    directions = model.filter(disagreement)
     members = directions.shape[-1]
     found = np.zeros((draws, 2))
     if not members:

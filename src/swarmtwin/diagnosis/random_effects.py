@@ -92,15 +92,19 @@ class RandomEffects:
         return np.concatenate([block.T @ weighted for block in self.columns])
 
 
-def member_disagreement(model: SessionErrors) -> np.ndarray:
+def member_disagreement(model: SessionErrors, mechanisms: Sequence[Mechanism] = ()) -> np.ndarray:
     """Return (N, 3, M) how the simulation's M members disagree, as a jackknife over folds of runs has it.
 
     The sum of the squares of these is the variance of what the simulation gets wrong for want of data.
+
+    Args:
+        model: of N transitions.
+        mechanisms: with which each member is asked: these may lead back to where the simulation has learned.
     """
     members = model.members
     if members < 2:
         return np.zeros((len(model.session), 3, 0))
-    twists = (model.predictor.with_member(member).twist(()) for member in range(members))
+    twists = (model.predictor.with_member(member).twist(mechanisms) for member in range(members))
     changes = np.stack([model.changes_of(twist) for twist in twists], axis=-1)
     disagreement: np.ndarray = math.sqrt((members - 1) / members) * (changes - changes.mean(axis=-1, keepdims=True))
     return disagreement
@@ -149,7 +153,7 @@ def _unit_effects(model: SessionErrors, center: Tensor, commands: tuple[Tensor, 
     for vehicle in model.strange:
         own = torch.as_tensor(transitions.vehicle == transitions.vehicles.index(vehicle))[:, None]
         changes = unit_changes(model.predictor, center, model.session, commands)
-        for change in changes + unit_starts(center, model.session):
+        for change in changes + unit_starts(model.predictor, center, model.session, commands):
             twist = center + torch.where(own, change, torch.zeros_like(change)) * model.unit_spread
             yield model.changes_of(twist, center)
 
@@ -179,22 +183,42 @@ def unit_changes(
         apart = wheel_travel(twist, track_mm) * torch.tensor([[0.5, -0.5]], dtype=twist.dtype)
         changes.append(twist_of_wheels(apart, torch.zeros_like(twist), track_mm))
     if actuation.steering:
-        column = session.transitions.robot.command_columns.index(actuation.steering)
         step_rad = 0.05  # small beside any steering range, large beside float32
-        askew = [command.clone() for command in commands]
-        for command in askew:
-            command[:, column] += math.degrees(step_rad)
-        changes.append((predictor.base_twist(*askew) - predictor.base_twist(*commands)) / step_rad)
+        askew = _by_other_commands(predictor, session, commands, (actuation.steering,), math.degrees(step_rad))
+        changes.append(askew / step_rad)
     return changes
 
 
-def unit_starts(twist: Tensor, session: MeasuredSession) -> list[Tensor]:
+def _by_other_commands(
+    predictor: SessionPredictor,
+    session: MeasuredSession,
+    commands: tuple[Tensor, Tensor],
+    columns: Sequence[str],
+    step: float,
+) -> Tensor:
+    """Return by what simulated twists (N, 3) change where columns of the commands now and before are larger."""
+    others = [command.clone() for command in commands]
+    for column in columns:
+        for command in others:
+            command[:, session.transitions.robot.command_columns.index(column)] += step
+    return predictor.base_twist(*others) - predictor.base_twist(*commands)
+
+
+def unit_starts(
+    predictor: SessionPredictor, twist: Tensor, session: MeasuredSession, commands: tuple[Tensor, Tensor]
+) -> list[Tensor]:
     """Return by what simulated twists (N, 3) change where a unit's actuators start to move at a smaller command.
 
-    They are faster by as much at any speed: per unit of the root mean square of their own.
+    Wheels are faster by as much at any speed, per unit of the root mean square of their own; what thrusts does as if
+    its effort were larger, per unit of that of the efforts.
     """
-    track_mm = session.conditions.track_mm
-    if session.transitions.robot.actuation.kind == "wheel" and track_mm:
+    actuation, track_mm = session.transitions.robot.actuation, session.conditions.track_mm
+    if actuation.effort and actuation.kind == "thrust":
+        places = [session.transitions.robot.command_columns.index(column) for column in actuation.effort]
+        usual = float(commands[0][:, places].square().mean().sqrt())
+        step = 0.02 * usual
+        return [_by_other_commands(predictor, session, commands, actuation.effort, step) * usual / step]
+    if actuation.kind == "wheel" and track_mm:
         faster = _of_one_size(wheel_travel(twist, track_mm))
         sides = (torch.tensor(side, dtype=twist.dtype) for side in ([[1.0, 1.0]], [[0.5, -0.5]]))
         return [twist_of_wheels(faster * side, torch.zeros_like(twist), track_mm) for side in sides]

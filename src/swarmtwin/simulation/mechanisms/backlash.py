@@ -43,8 +43,8 @@ class Config(Mechanism):
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Give the play in the unit of what has it."""
         if robot.actuation.kind == "wheel":
-            high = 0.5 * robot.largest_displacement.forward_mm
-            return {"travel_mm": Parameter(0.0, high, 0.0, "mm", (0.05 * high, 0.2 * high), 0.01 * high)}
+            way = robot.largest_displacement.forward_mm
+            return {"travel_mm": Parameter(0.0, 0.75 * way, 0.0, "mm", (0.025 * way, 0.1 * way), 0.005 * way)}
         efforts = [robot.command[name] for name in robot.actuation.effort]
         if not efforts or efforts[0].unit != "deg":
             return {}

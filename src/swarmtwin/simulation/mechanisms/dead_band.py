@@ -31,9 +31,10 @@ class Config(Mechanism):
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
         """Give the width in the command's unit."""
-        high = 0.7 * effort_limit(robot)
-        grid = tuple(high * (index + 0.5) / 24 for index in range(24))
-        return {"width": Parameter(0.0, high, 0.0, effort_unit(robot), grid, high / 48)}
+        limit, count = effort_limit(robot), 32
+        high = 0.95 * limit
+        grid = tuple(high * (index + 0.5) / count for index in range(count))
+        return {"width": Parameter(0.0, high, 0.0, effort_unit(robot), grid, limit / 70)}
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
         """Leave out what is smaller than the width."""

@@ -1,0 +1,53 @@
+"""A study's table says the same in the terminal, in a text file and on a page."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from swarmtwin.studies.study_table import StudyTable
+
+
+@pytest.fixture
+def table():
+    return StudyTable(
+        "Errors",
+        ("model\nparameters", "colli-\nsions", "where"),
+        [["floor", "", "[brackets] & <signs>"], ["crnet\n95,511", "1 %\n2 %", "here"]],
+        "bold: the first of them",
+        floors=1,
+        marked=(1,),
+        left=(2,),
+    )
+
+
+def test_a_text_file_has_its_lines_in_cells_and_words_on_the_left(table):
+    assert table.markdown().splitlines() == [
+        "## Errors",
+        "",
+        "| model<br>parameters | collisions | where |",
+        "| --- | ---: | --- |",
+        "| floor |  | [brackets] & <signs> |",
+        "| **crnet<br>95,511** | 1 %<br>2 % | here |",
+        "",
+        "Bold: the first of them.",
+    ]
+
+
+def test_a_table_without_title_and_caption_is_its_cells_alone():
+    assert StudyTable("", ("one", "two"), [["a", "b"]]).markdown() == "| one | two |\n| --- | ---: |\n| a | b |\n"
+
+
+def test_a_page_escapes_what_is_no_markup_and_tells_rows_apart(table):
+    html = table.html()
+    assert '<tr class="floor"><td>floor</td><td></td><td>[brackets] &amp; &lt;signs&gt;</td></tr>' in html
+    assert '<tr class="marked"><td>crnet<br>95,511</td><td>1 %<br>2 %</td><td>here</td></tr>' in html
+    assert html.endswith("<p>Bold: the first of them.</p>")
+
+
+def test_the_terminal_takes_no_cell_for_markup(table):
+    console = Console(file=io.StringIO(), width=80)
+    console.print(table.drawn())
+    shown = console.file.getvalue()
+    assert "[brackets] & <signs>" in shown
+    assert "colli-" in shown
