@@ -68,13 +68,13 @@ def read_stages(repository: Path) -> dict[str, Stage]:
     file = str((repository / "dvc.yaml").resolve())
     with Repo(str(repository)) as repo:
         graph = repo.index.graph
-        nodes = [node for node in graph if _runs_command(node) and str(Path(node.path).resolve()) == file]
+        nodes = [node for node in graph if str(Path(node.path).resolve()) == file and _runs_command(node)]
         definitions = nodes[0].dvcfile.resolver.definitions  # every node's own would parse the file once more
         return {node.name: _stage(node, graph, definitions) for node in nodes}
 
 
 def _runs_command(node: Any) -> bool:
-    return isinstance(node, PipelineStage) and "swarmtwin" in shlex.split(node.cmd)
+    return isinstance(node, PipelineStage) and isinstance(node.cmd, str) and "swarmtwin" in shlex.split(node.cmd)
 
 
 def _stage(node: Any, graph: Any, definitions: Mapping[str, Any]) -> Stage:
