@@ -212,7 +212,7 @@ def _extended(reference: Reference, simulation: Simulation, explained: Explanati
     if explained.names_motion_noise:
         mechanisms = (*mechanisms, noise_change.Config(factor=explained.motion_noise.factor))
     residual = None
-    if explained.is_something_left:
+    if explained.verdict == "unexplained":
         model, session = explained.model, explained.model.session
         mechanisms = explained.best.mechanisms if explained.share >= 0.5 else ()
         given = session.situation
