@@ -1,21 +1,15 @@
 """The pages of results, from what the pipelines computed and pushed: nothing on them is typed."""
 
-import json
 from pathlib import Path
 
-import pandas as pd
 import yaml
 
 from swarmtwin.diagnosis.report.page import gain_bars
 from swarmtwin.diagnosis.result import Cause, DiagnosisResult
-from swarmtwin.robot import Robot
-from swarmtwin.studies.dynamics.table import model_table
 from swarmtwin.studies.study_table import StudyTable
-from swarmtwin.studies.synthetic.table import case_table
-from swarmtwin.studies.transfer.table import policy_table
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-ARTIFACTS = REPOSITORY / "artifacts"
+TABLES = REPOSITORY / "artifacts" / "tables"
 RESULTS = REPOSITORY / "docs" / "results"
 EXPERIMENTS = {  # navigation's title of the pages that experiments wrote: where their folders lie
     "The paper's tables and figures": "paper",
@@ -33,22 +27,14 @@ def pipeline_page() -> str:
     """
     pipeline = yaml.safe_load((REPOSITORY / "conf" / "pipeline.yaml").read_text())
     seeds = pipeline["seeds"]
-    parts = [
-        "# What `make run` shows",
-        "These are the tables that the pipeline printed last, from its pushed outputs. It trains "
+    about = (
+        "These are the tables that the pipeline made last. It trains "
         f"{'one seed' if seeds == 1 else f'{seeds} seeds'} of each model, so that its tables show whether everything "
         "works, and not which model is best: [several seeds of each, with intervals](models/mgr/report.md), are "
-        "experiments of their own. Errors are those of runs that no model has seen.",
-    ]
-    for name in pipeline["robots"]:
-        robot = Robot.load(REPOSITORY / "conf" / "robot" / f"{name}.yaml")
-        parts += [
-            model_table(robot.title, _table("comparison", name)).markdown(),
-            case_table(robot.title, _table("real_and_synthetic", name)).markdown(),
-        ]
-    parts.append(_scenarios(pipeline["policies"]).markdown())
-    parts += [policy_table(name.upper(), _table("transfer", name)).markdown() for name in pipeline["robots"]]
-    return "\n\n".join(parts)
+        "experiments of their own. Errors are those of runs that no model has seen."
+    )
+    tables = [(TABLES / robot / "tables.md").read_text() for robot in pipeline["robots"]]
+    return "\n\n".join(["# What `make run` shows", about, *tables])
 
 
 def creates_page() -> str:
@@ -104,23 +90,6 @@ def experiment_entries() -> list[dict[str, list[dict[str, str]]]]:
         {title: [_entry(page) for page in sorted((RESULTS / folder).glob("*/report.md"), key=_place)]}
         for title, folder in EXPERIMENTS.items()
     ]
-
-
-def _table(of: str, robot: str) -> pd.DataFrame:
-    return pd.read_csv(ARTIFACTS / of / robot / "table.csv")
-
-
-def _scenarios(policies: dict[str, dict[str, str]]) -> StudyTable:
-    """Return how the policies did in new scenarios of their simulations, by which nothing was chosen."""
-    rows = []
-    for task, policy in policies.items():
-        test = json.loads((ARTIFACTS / "policies" / policy["robot"] / task / "metrics.json").read_text())["test"]
-        rates = [[100 * test[name][end] for end in ("value", "low", "high")] for name in ("success", "collision")]
-        shown = [f"{value:.1f} ({low:.1f} to {high:.1f})" for value, low, high in rates]
-        rows.append([task, policy["robot"], str(test["rollouts"]), *shown])
-    headings = ("task", "robot", "new scenarios", "success, %", "collisions, %")
-    caption = "in brackets 95 % intervals; nothing was chosen by these scenarios"
-    return StudyTable("Policies in the simulation that they were learned in", headings, rows, caption)
 
 
 def _entry(report: Path) -> dict[str, str]:

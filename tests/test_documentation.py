@@ -140,7 +140,7 @@ def site(tmp_path_factory):
     shown = (
         DOCS / "results" / "findings",
         DOCS / "results" / "creates" / "table1",
-        REPOSITORY / "artifacts" / "transfer",
+        REPOSITORY / "artifacts" / "tables",
     )
     if missing := [folder for folder in shown if not folder.is_dir()]:
         pytest.skip(f"no {missing[0].relative_to(REPOSITORY)}: make docs fetches it")

@@ -70,8 +70,7 @@ def neighbour_estimate(transitions: Transitions, given: Sequence[SituationPart],
     Raises:
         UserError: a vehicle has too few.
     """
-    known = np.ma.masked_invalid(_columns(transitions, given))
-    columns = np.where(known.mask, known.mean(axis=0).filled(0.0), known.data)
+    columns = filled_columns(transitions, given)
     mean = np.full_like(transitions.displacement, np.nan)
     for own in _vehicles(transitions):
         if scored[own].any():
@@ -119,6 +118,13 @@ def _most_informed(exact: pd.DataFrame) -> str:
     """Return what the exact means are given that are given most: a velocity tells of all that was before."""
     levels = _levels(exact)
     return next(level for level in ("everything", "earlier_command", "previous_command", *levels) if level in levels)
+
+
+def filled_columns(transitions: Transitions, given: Sequence[SituationPart]) -> np.ndarray:
+    """Return inputs as columns (N, c), a heading as cosine and sine; the columns' means where the past is unknown."""
+    known = np.ma.masked_invalid(_columns(transitions, given))
+    filled: np.ndarray = np.where(known.mask, known.mean(axis=0).filled(0.0), known.data)
+    return filled
 
 
 def _columns(transitions: Transitions, given: Sequence[SituationPart]) -> np.ndarray:

@@ -21,6 +21,7 @@ from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation import simulation_folder
 from swarmtwin.simulation.best_prediction import BestPrediction, FloorKind, best_prediction, neighbour_estimate
+from swarmtwin.simulation.estimated_floor import EstimatedFloor, estimated_floor
 from swarmtwin.simulation.open_loop import OpenLoop, OpenLoopFigure, open_loop, summary
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import Transitions, from_recording
@@ -34,15 +35,21 @@ class Floor:
         kind: whether the best model is known or estimated, and how.
         given: what it looks at.
         error: its error.
+        estimate: on a real robot, the same with its interval; None on a stand-in.
     """
 
     kind: FloorKind
     given: tuple[SituationPart, ...]
     error: ErrorFigure
+    estimate: EstimatedFloor | None = None
 
     def plain(self) -> dict[str, Any]:
         """Return the floor as plain data."""
-        return {"kind": self.kind, "given": list(self.given), **_plain(self.error)}
+        figures = _plain(self.error)
+        if self.estimate:
+            for name in ("position_mm", "orientation_deg"):
+                figures[name] |= dict(zip(("low", "high"), getattr(self.estimate, name), strict=True))
+        return {"kind": self.kind, "given": list(self.given), **figures}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -227,7 +234,12 @@ def measure(simulation: Simulation, provenance: Provenance, measured: Measured) 
         displacement = transitions.displacement[chosen]
 
         def floor(of: BestPrediction) -> Floor:
-            return Floor(of.kind, of.given, ErrorFigure.between(of.mean[chosen], displacement))
+            mean = of.mean[chosen]
+            if of.is_exact_mean:
+                return Floor(of.kind, of.given, ErrorFigure.between(mean, displacement))
+            models = [mean, *([predicted[chosen]] if set(simulation.inputs) <= set(of.given) else [])]
+            estimate = estimated_floor(transitions.where(chosen), of.given, models)
+            return Floor(of.kind, of.given, estimate.error, estimate)
 
         return Figures(
             one_step=ErrorFigure.between(predicted[chosen], displacement),
