@@ -137,3 +137,33 @@ def test_a_given_generator_stands_alone(swarmtwin, workshop):
     answer = swarmtwin(*TRAIN, "transitions=made/transitions", "model.situation=[command,previous_command]")
     assert answer.status == 2
     assert "the model looks at previous_command, which these transitions do not hold" in answer.error
+
+
+def test_records_of_a_training_arrive_in_the_run_while_it_lasts_or_at_its_end(swarmtwin, workshop):
+    for logger in ("mlflow", "none"):
+        assert swarmtwin(*GENERATE, f"trainer.logger={logger}", f"output={logger}").status == 0
+    history = pd.read_csv(workshop / "mlflow" / "history.csv")
+    for run in runs()[:2]:
+        for name in history.columns[1:]:
+            kept = mlflow.MlflowClient().get_metric_history(run.info.run_id, name)
+            assert [point.step for point in kept] == list(history["step"][history[name].notna()]), name
+
+
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("trainer=ddp_cpu", "one process"),
+        ("trainer.patience_epochs=3", "no loss by which it could end early"),
+        ("trainer.precision=16", "trainer.precision"),
+    ],
+)
+def test_a_trainer_that_a_generator_cannot_have_is_refused(swarmtwin, option, said):
+    answer = swarmtwin(*GENERATE, option, "output=out")
+    assert answer.status == 2
+    assert said in answer.error
+
+
+def test_a_generator_learns_in_16_bits_and_shows_lightning_s_bar(swarmtwin, workshop):
+    answer = swarmtwin(*GENERATE, "trainer.precision=bf16-mixed", "trainer.progress_bar=rich", "output=out")
+    assert answer.status == 0
+    assert len(pd.read_csv(workshop / "out" / "history.csv")) >= 40

@@ -2,11 +2,11 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -18,12 +18,14 @@ from swarmtwin.generators.generator_folder import load_generator, read_descripti
 from swarmtwin.generators.quality import Quality
 from swarmtwin.generators.quality_plots import draw_synthesis
 from swarmtwin.generators.sampling import Drawn, draw_believable
-from swarmtwin.generators.synthesis import GENERATOR, TRANSITIONS, Synthesis, save_drawn, save_synthesis, synthesise
+from swarmtwin.generators.synthesis import GENERATOR, TRANSITIONS, save_drawn, save_synthesis, synthesise
 from swarmtwin.generators.training import Record, Report
 from swarmtwin.learning.device import Device
+from swarmtwin.learning.trainer_settings import LiveCurves, TrainerSettings
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.studies.tracked_inputs import split_inputs
-from swarmtwin.tracking.runs import TrackedRun, tracked_run
+from swarmtwin.tracking.runs import tracked_run
+from swarmtwin.tracking.store import store_uri
 from swarmtwin.transitions import SplitOptions
 from swarmtwin.transitions.inputs import Vehicles, training_transitions
 
@@ -40,11 +42,20 @@ class Options(StrictModel):
     real: Annotated[int, Field(ge=1)] | None
     from_folder: Annotated[Path | None, Field(alias="from")]
     count: Annotated[int, Field(ge=2)] | None
+    trainer: TrainerSettings
     device: Device
     seed: Seed
     pictures: bool
     output: Path | None
     overwrite: bool
+
+    @model_validator(mode="after")
+    def _one_process_to_the_end(self) -> Self:
+        if self.trainer.processes > 1:
+            raise ValueError("a generator is trained by one process: trainer=default or trainer=gpu")
+        if self.trainer.patience_epochs is not None:
+            raise ValueError("a generator has no loss by which it could end early: leave trainer.patience_epochs out")
+        return self
 
 
 def run(options: Options) -> dict[str, Any]:
@@ -99,11 +110,20 @@ def _train(options: Options, robot: Robot) -> dict[str, Any]:
     settings = options.model_dump(mode="json", by_alias=True)
     with (
         new_folder(output, "generate", settings, options.overwrite, inputs=[source]) as folder,
-        tracked_run("generator", name, settings, split_inputs(source, transitions), options.seed) as tracked,
+        tracked_run(
+            "generator",
+            name,
+            settings,
+            split_inputs(source, transitions),
+            options.seed,
+            options.trainer.system_metrics,
+        ) as tracked,
     ):
         started = time.monotonic()
         tracked.warnings(preparation.warnings)
-        with _training_bar(f"{robot.name} {config.name}") as report:
+        bars = options.trainer.progress_bar == "epochs"
+        curves = LiveCurves(tracked.run_id, store_uri()) if options.trainer.logger == "mlflow" else None
+        with _training_bar(f"{robot.name} {config.name}") if bars else nullcontext() as report:
             made = synthesise(
                 transitions,
                 preparation,
@@ -113,11 +133,17 @@ def _train(options: Options, robot: Robot) -> dict[str, Any]:
                 count=options.count,
                 report=report,
                 device=options.device,
+                trainer=options.trainer,
+                curves=curves,
             )
         save_synthesis(folder, made, options.seed)
         if options.pictures:
             draw_synthesis(folder, folder)
-        _track(tracked, made, time.monotonic() - started)
+        tracked.metrics(made.quality.tracked() | {"training_s": time.monotonic() - started})
+        if not curves:
+            tracked.history((int(one["step"]), {k: v for k, v in one.items() if k != "step"}) for one in made.history)
+        tracked.tag("recording", made.lineage.recording)
+        tracked.tag("recording.digest", made.lineage.digest)
         tracked.folder(folder / GENERATOR, GENERATOR)
     Console().print(_table(name, made.quality))
     _say(_drawn_text(output, made.drawn))
@@ -125,13 +151,6 @@ def _train(options: Options, robot: Robot) -> dict[str, Any]:
     figures = made.quality.tracked()
     shown = ("told_apart", "precision", "recall", "nearer_to_learned", "exact_copies")
     return {**{name: figures[name] for name in shown}, "output": str(output)}
-
-
-def _track(tracked: TrackedRun, made: Synthesis, seconds: float) -> None:
-    tracked.metrics(made.quality.tracked() | {"training_s": seconds})
-    tracked.history((int(record["step"]), {k: v for k, v in record.items() if k != "step"}) for record in made.history)
-    tracked.tag("recording", made.lineage.recording)
-    tracked.tag("recording.digest", made.lineage.digest)
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from swarmtwin.generators.quality import Quality, Sets, assess, marginals
 from swarmtwin.generators.sampling import Drawn, draw_believable
 from swarmtwin.generators.training import Record, Report, fit
 from swarmtwin.learning.device import Device
+from swarmtwin.learning.trainer_settings import LiveCurves, TrainerSettings
 from swarmtwin.transitions import Preparation, Transitions, first_runs
 from swarmtwin.transitions.preparation import save_preparation
 
@@ -40,6 +41,8 @@ def synthesise(
     count: int | None,
     report: Report | None,
     device: Device = "cpu",
+    trainer: TrainerSettings | None = None,
+    curves: LiveCurves | None = None,
 ) -> Synthesis:
     """Train, draw, and compare with real transitions that the generator has not seen.
 
@@ -55,9 +58,11 @@ def synthesise(
         count: how many to draw; None: as many as were learned from.
         report: called with each record of the training.
         device: where to train.
+        trainer: how Lightning trains; None: its defaults, of which nothing is seen.
+        curves: the run that the records are sent to as they are closed; None: none.
     """
     learned_from = first_runs(transitions, real) if real else transitions
-    generator, history = fit(learned_from, config, seed, report, device)
+    generator, history = fit(learned_from, config, seed, report, device, trainer, curves)
     lineage = Lineage.of(preparation, learned_from, seed)
     drawn = draw_believable(generator, count or lineage.real_transitions, seed)
     rows = generator.columns.rows

@@ -11,6 +11,7 @@ from swarmtwin.generators.columns import Columns
 from swarmtwin.generators.generator import Generator, GeneratorConfig, RealRows
 from swarmtwin.learning.device import Device, reproducible
 from swarmtwin.learning.trainer import run_trainer
+from swarmtwin.learning.trainer_settings import LiveCurves, TrainerSettings
 from swarmtwin.transitions import Transitions
 
 Record = dict[str, float]
@@ -26,6 +27,8 @@ def fit(
     seed: int,
     report: Report | None = None,
     device: Device = "cpu",
+    trainer: TrainerSettings | None = None,
+    curves: LiveCurves | None = None,
 ) -> tuple[Generator, list[Record]]:
     """Train a generator on the training split, on one thread; return it with the history of its training.
 
@@ -35,6 +38,8 @@ def fit(
         seed: of initial weights and of the rows that each step takes.
         report: told each record of the history.
         device: where to train; the generator lies on the CPU afterwards.
+        trainer: everything else of Lightning's trainer; None: its defaults, of which nothing is seen.
+        curves: the run that the records are sent to as they are closed; None: none.
 
     Raises:
         UserError: too little data, values that are not finite, a training that diverged, or no GPU where one is asked
@@ -46,7 +51,8 @@ def fit(
     with reproducible(seed, device):
         generator = config.build(columns)
         history = HistoryCallback(config.training_steps, report)
-        run_trainer(config.training(generator, real), history, range(config.training_steps), device=device)
+        batches = range(config.training_steps)
+        run_trainer(config.training(generator, real), history, batches, device=device, settings=trainer, curves=curves)
     if any(not weights.isfinite().all() for weights in generator.state_dict().values()):
         raise UserError(f"{config.name}: the training diverged: lower the learning rate, or take another seed")
     return generator.cpu().eval(), history.records
@@ -80,5 +86,9 @@ class HistoryCallback(lightning.Callback):
         losses = {name: float(np.mean(values)) for name, values in self._losses.items()}
         self.records.append({"step": step, **losses, **training.validation_figures()})
         self._losses.clear()
+        if trainer.logger:
+            trainer.logger.log_metrics(
+                {name: value for name, value in self.records[-1].items() if name != "step"}, step
+            )
         if self.report:
             self.report(self.records[-1], self.steps)
