@@ -25,14 +25,14 @@ from swarmtwin.transitions.mixing import Prepared
 
 
 @dataclass(frozen=True)
-class GeneratorJob:
-    """The generator of a training, to be trained and kept.
+class Job:
+    """What is trained and kept, one seed of it.
 
     Attributes:
         data: what trainings are made of.
         store: where its outcome is kept.
-        training: which wants it.
-        seed: of its initial weights, of its batches, and of which real runs it is given.
+        training: which, or which wants it.
+        seed: of initial weights, of order, dropout and drawing, and of which real runs it is given.
         device: where to train.
         made_of: all that decides what comes of it.
     """
@@ -48,6 +48,11 @@ class GeneratorJob:
     def key(self) -> str:
         """The digest of what it is made of."""
         return key_of(self.made_of)
+
+
+@dataclass(frozen=True)
+class GeneratorJob(Job):
+    """The generator of a training, to be trained and kept."""
 
     def run(self, report: Report | None) -> None:
         """Train; why that failed is kept as well, so that the trainings that want it say so."""
@@ -74,31 +79,14 @@ class GeneratorJob:
 
 
 @dataclass(frozen=True)
-class MeasuredTrainingJob:
-    """One seed of a training, to be trained, kept, and measured on recordings.
+class MeasuredTrainingJob(Job):
+    """One seed of a training, to be trained, kept, and measured on recordings; its generator lies in the same store.
 
     Attributes:
-        data: what trainings are made of.
         measured: the recordings, by what they are for.
-        store: where its generator lies and its outcome is kept.
-        training: which.
-        seed: of initial weights, order and dropout, of its generator, of drawing, and of which real runs it is given.
-        device: where to train.
-        made_of: all that decides what comes of it.
     """
 
-    data: GridData
     measured: Mapping[str, Measured]
-    store: TrainingStore
-    training: Training
-    seed: int
-    device: Device
-    made_of: Mapping[str, Any]
-
-    @property
-    def key(self) -> str:
-        """The digest of what it is made of."""
-        return key_of(self.made_of)
 
     @property
     def is_done(self) -> bool:
@@ -212,7 +200,7 @@ def planned_jobs(
             parts[which] = data.identified_part(training, seed)
         real = parts[which]
         made_of = data.made_of(training, seed, real, everything)
-        jobs.append(MeasuredTrainingJob(data, measured, store, training, seed, device, made_of))
+        jobs.append(MeasuredTrainingJob(data, store, training, seed, device, made_of, measured))
         if training.generator:
             generator = GeneratorJob(data, store, training, seed, device, data.generator_made_of(training, seed, real))
             generators.setdefault(generator.key, generator)
