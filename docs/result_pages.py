@@ -1,5 +1,6 @@
 """The pages of results, from what the pipelines computed and pushed: nothing on them is typed."""
 
+import math
 from pathlib import Path
 
 import yaml
@@ -43,28 +44,30 @@ def creates_page() -> str:
     Raises:
         FileNotFoundError: it was not pulled.
     """
-    rows = []
-    for folder in sorted((RESULTS / "creates").glob("robot_*")):
-        found = DiagnosisResult.model_validate_json((folder / "diagnosis.json").read_text())
-        likeliest = max(found.posterior, key=lambda one: one.probability)
-        errors = (f"{bar.before} → {bar.after}\n{bar.change}" if bar.after else bar.before for bar in gain_bars(found))
-        rows.append(
-            [
-                folder.name.removeprefix("robot_"),
-                found.verdict,
-                ",\n".join(map(_cause_words, found.causes)) or "none",
-                f"{', '.join(likeliest.causes) or 'nothing'} ({likeliest.probability:.0%})",
-                *errors,
-            ]
-        )
-    found_bars = [bar.title for bar in gain_bars(found)]
-    table = StudyTable(
+    found = {
+        folder.name.removeprefix("robot_"): DiagnosisResult.model_validate_json((folder / "diagnosis.json").read_text())
+        for folder in sorted((RESULTS / "creates").glob("robot_*"))
+    }
+    causes = StudyTable(
         "What was found",
-        ("robot", "verdict", "causes confirmed", "likeliest set", *found_bars),
-        rows,
-        "errors on held-out runs with the simulation as it was and as it is extended, and below the 95 % interval of "
-        "the gain; what is likeliest is named only where held-out runs confirm it and nothing of note is left",
+        ("robot", "verdict", "causes confirmed", "likeliest set"),
+        [
+            [robot, one.verdict, ",\n".join(map(_cause_words, one.causes)) or "none", _likeliest(one)]
+            for robot, one in found.items()
+        ],
+        "what is likeliest is named only where held-out runs confirm it and nothing of note is left",
         left=(1, 2, 3),
+    )
+    bars = {robot: gain_bars(one) for robot, one in found.items()}
+    gains = StudyTable(
+        "What the extended simulation gains",
+        ("robot", *(bar.title for bar in next(iter(bars.values())))),
+        [
+            [robot, *(f"{bar.before} → {bar.after}\n{bar.change}" if bar.after else bar.before for bar in own)]
+            for robot, own in bars.items()
+        ],
+        "errors on held-out runs with the simulation as it was and as it is extended, by causes or a learned residual, "
+        "and below the change with its 95 % interval",
     )
     return "\n\n".join(
         [
@@ -74,13 +77,23 @@ def creates_page() -> str:
             "others were each diagnosed against it. With the data set at hand, "
             "`MRCLAM=DIR dvc repro docs/results/creates/dvc.yaml` computes this page and [the tables beside "
             "it](models/report.md) anew.",
-            table.markdown(),
+            causes.markdown(),
+            gains.markdown(),
         ]
     )
 
 
+def _likeliest(found: DiagnosisResult) -> str:
+    likeliest = max(found.posterior, key=lambda one: one.probability)
+    return f"{', '.join(likeliest.causes) or 'nothing'} ({likeliest.probability:.0%})"
+
+
 def _cause_words(cause: Cause) -> str:
-    values = (f"{one.value:.3g} {one.unit} ({one.low:.3g} to {one.high:.3g})" for one in cause.parameters.values())
+    values = []
+    for one in cause.parameters.values():
+        factor, unit = (math.degrees(1), "°") if one.unit == "rad" else (1.0, f" {one.unit}".rstrip())
+        value, low, high = (factor * figure for figure in (one.value, one.low, one.high))
+        values.append(f"{value:.3g}{unit} ({low:.3g} to {high:.3g})")
     return f"{cause.name} {', '.join(values)}"
 
 
