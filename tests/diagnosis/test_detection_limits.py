@@ -8,9 +8,10 @@ from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.detection_limits import detection_limits
+from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.gains import Errors, confirmed_from, gains
-from swarmtwin.diagnosis.left_over import explanation, noise_change_probability, usual_noise_spread
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.motion_noise_change import noise_change_probability, usual_noise_spread
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 

@@ -6,7 +6,8 @@ import torch
 from exact_base import ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
-from swarmtwin.diagnosis.left_over import explanation, nats_of_uncertainty
+from swarmtwin.diagnosis.explanation import explanation
+from swarmtwin.diagnosis.left_over import nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import exp_map

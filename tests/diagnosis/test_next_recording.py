@@ -6,7 +6,7 @@ from exact_base import ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.detection_limits import detection_limits
-from swarmtwin.diagnosis.left_over import explanation
+from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.next_recording import lowering_drive, next_recording
 from swarmtwin.geometry import compose, exp_map

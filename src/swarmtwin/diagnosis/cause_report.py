@@ -4,8 +4,9 @@ import numpy as np
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.estimation import EstimatedSet
-from swarmtwin.diagnosis.left_over import Explanation, MotionNoiseChange
+from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange
 from swarmtwin.diagnosis.result import Cause, CauseSet, Estimate
 from swarmtwin.simulation.mechanism import Mechanism
 

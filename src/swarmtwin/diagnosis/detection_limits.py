@@ -8,8 +8,8 @@ import numpy as np
 from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import needed_nats
+from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.gains import confirmed_from
-from swarmtwin.diagnosis.left_over import Explanation
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.random_limits import loss_limit, noise_limit
 from swarmtwin.diagnosis.result import DetectionLimit

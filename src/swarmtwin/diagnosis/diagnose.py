@@ -5,7 +5,7 @@
 2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
-   them leaves (`left_over`, `error_history`).
+   them leaves (`explanation`, `left_over`, `error_history`, `motion_noise_change`).
 4. Finding: causes as they are reported and the leading sets, gains on held-out runs, the smallest effects that the
    session would have shown, the next recording (`cause_report`, `gains`, `detection_limits` with `sized_causes` and
    `random_limits`, `next_recording`, `result`; pictures in `report/`).
@@ -23,8 +23,9 @@ from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_test
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
+from swarmtwin.diagnosis.explanation import Explanation, explanation
 from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
-from swarmtwin.diagnosis.left_over import Explanation, Usual, explanation
+from swarmtwin.diagnosis.left_over import Usual
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
     MechanismClass,

@@ -9,7 +9,7 @@ import torch
 
 from swarmtwin.diagnosis.detection_limits import FoundLimit
 from swarmtwin.diagnosis.estimation import EstimatedSet
-from swarmtwin.diagnosis.left_over import Explanation
+from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import Noise
 from swarmtwin.diagnosis.result import NextRecording

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
-from swarmtwin.diagnosis.left_over import Explanation, noise_change_probability, usual_noise_spread
+from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood
+from swarmtwin.diagnosis.motion_noise_change import noise_change_probability, usual_noise_spread
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.result import DetectionLimit
 from swarmtwin.simulation.mechanism import Mechanism, mechanism_class

@@ -1,0 +1,135 @@
+"""Step 3, its end: what the causes of a session explain of what can be explained at all, and what is said of it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from swarmtwin.diagnosis.cause_search import CausePosterior
+from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
+from swarmtwin.diagnosis.left_over import LeftOver, Usual, left_over
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
+from swarmtwin.diagnosis.result import Verdict
+from swarmtwin.simulation.mechanism import Mechanism
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the causes of a session explain, and what they leave.
+
+    Attributes:
+        model: of the fitted runs, its noise that of what the causes leave.
+        posterior: over sets of causes.
+        best: the most probable set, estimated anew in that model.
+        gained: nats that it gains over no cause.
+        left: what they leave over, in nats.
+        motion_noise: how random the motion is beside these causes.
+    """
+
+    model: SessionLikelihood
+    posterior: CausePosterior
+    best: EstimatedSet
+    gained: float
+    left: LeftOver
+    motion_noise: MotionNoiseChange
+
+    @property
+    def share(self) -> float:
+        """Share of what can be explained at all that the causes explain."""
+        return float(np.clip(self.gained / max(self.gained + self.left.nats, 1e-9), 0.0, 1.0))
+
+    @property
+    def alarm(self) -> float:
+        """Nats left over from which on something is wrong that nobody has named."""
+        settings = self.model.settings.verdict
+        return settings.alarm_nats + settings.alarm_nats_a_transition * len(self.model.session)
+
+    @property
+    def is_something_left(self) -> bool:
+        """Whether more is left over than chance, another form of the same causes, and an uncertain simulation leave."""
+        left = self.left
+        return self._is_too_much(
+            left.by_situation - left.most_uncertainty, left.by_history - left.most_lasting_uncertainty
+        )
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the causes gain no more than the simulation's own uncertainty would."""
+        return self.gained <= self.left.uncertainty
+
+    @property
+    def _may_be_something_left(self) -> bool:
+        """Likewise, were the simulation certain."""
+        return self._is_too_much(self.left.by_situation, self.left.by_history)
+
+    @property
+    def _is_at_an_end(self) -> bool:
+        """Whether a parameter is at an end of its range where it does something: beyond it may fit better."""
+        nearest = self.model.settings.verdict.nearest_end
+        kinds = [type(one) for one in self.best.mechanisms]
+        for value, (_, _, parameter) in zip(self.best.values, self.model.parameters(kinds), strict=True):
+            ends = (end for end in (parameter.low, parameter.high) if parameter.null_value not in (None, end))
+            if any(abs(value - end) < nearest * parameter.size for end in ends):
+                return True
+        return False
+
+    def _is_too_much(self, by_situation: float, by_history: float) -> bool:
+        settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
+        lasts = by_history > self.alarm + settings.most_lasting * gained
+        return lasts or by_situation > self.alarm + settings.most_left * gained
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
+
+        None where much is left, be it the simulation's uncertainty, where that would gain as much, or where a value
+        runs to the end of what it can be: a name would be made up.
+        """
+        if self._may_be_something_left or self.is_uncertain or self._is_at_an_end:
+            return ()
+        settings, posterior = self.model.settings.search, self.posterior
+        named = []
+        for name in self.best.names:
+            rivals = posterior.rivals(name, settings.rival_from)
+            is_leading = posterior.probability(name) >= settings.reported_from
+            if is_leading and posterior.probability(name, *rivals) >= settings.named_from:
+                named.append(name)
+        return tuple(named)
+
+    @property
+    def names_motion_noise(self) -> bool:
+        """Whether the motion's randomness is a cause."""
+        return (
+            not self._may_be_something_left and self.motion_noise.probability >= self.model.settings.search.named_from
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """What to say."""
+        if self.is_something_left:
+            return "unexplained"
+        if self.names or self.names_motion_noise:
+            return "explained"
+        return "unexplained" if self.best.names and not self.is_uncertain else "no_gap"
+
+    @cached_property
+    def mechanisms(self) -> tuple[Mechanism, ...]:
+        """The mechanisms that the simulation is extended by."""
+        return tuple(one for one in self.best.mechanisms if one.name in self.names)
+
+
+def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual | None = None) -> Explanation:
+    """Look at what the best causes leave of a session.
+
+    Args:
+        model: of the fitted runs.
+        posterior: over sets of causes.
+        usual: what the reference's own errors show likewise; None: nothing.
+    """
+    usual = usual or Usual()
+    refined = model.explained_by(posterior.best.mechanisms)
+    best = estimate(refined, posterior.best.mechanisms, polish=True, smooth=True)
+    gained = best.fitted.total - refined.evaluate([]).total
+    noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
+    return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise)

@@ -1,0 +1,80 @@
+"""Step 3, its end: whether the motion is more random than the reference's, beyond what sessions differ by."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special, stats
+
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
+from swarmtwin.diagnosis.settings import DiagnosisSettings
+from swarmtwin.simulation.mechanism import Mechanism
+
+
+class MotionNoiseChange(NamedTuple):
+    """How much more random the motion is than the reference's.
+
+    Attributes:
+        factor: on its standard deviation.
+        low: of the 95 % interval.
+        high: of it, what sessions of one robot differ by included.
+        probability: that this is a cause, and no difference that two sessions of one robot have.
+    """
+
+    factor: float
+    low: float
+    high: float
+    probability: float
+
+
+def motion_noise_change(
+    model: SessionLikelihood, mechanisms: Sequence[Mechanism], usual_log: Callable[[], float]
+) -> MotionNoiseChange:
+    """Compare the motion's noise with the reference's, and where that may have changed with its own motion's."""
+    log, error = model.motion_noise_log()
+    usual = usual_noise_spread(model, mechanisms)
+
+    def change(log: float) -> MotionNoiseChange:
+        probability = noise_change_probability(log, error, usual, model.settings)
+        low, high = np.exp(log + np.array([-1.96, 1.96]) * np.hypot(error, usual))
+        return MotionNoiseChange(float(np.exp(log)), float(low), float(high), probability)
+
+    found = change(log)
+    return change(log - usual_log()) if found.probability >= 0.5 else found
+
+
+def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
+    """Return the standard deviation of the log of the noise's factor between sessions in which it is no cause."""
+    settings = model.settings.motion_noise
+    usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
+    if model.has_momentum:
+        usual = max(usual, settings.usual_spread_with_momentum)
+    grown = settings.growth_spread * model.reference_noise.log_from_usual(model.motion)
+    wrong = float(
+        (model.filter(model.disagreement) ** 2).sum(axis=-1).mean()
+    )  # of the simulation, in its noise's units
+    return float(np.linalg.norm([usual, grown, math.log1p(wrong) / 2, _share_of_motion(model, mechanisms)]))
+
+
+def _share_of_motion(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
+    """Return what share of way and turn mechanisms change, root mean square: by as much they may change the noise."""
+    change = (model.predictor.twist(arriving(mechanisms)) - model.simulated).numpy()
+    changed, moved = ((twist[:, [0, 2]] ** 2).mean(axis=0) for twist in (change, model.motion))
+    return float(np.sqrt(changed / np.maximum(moved, 1e-12)).max())
+
+
+def noise_change_probability(log: float, error: float, usual: float, settings: DiagnosisSettings) -> float:
+    """Return the probability that a factor on the noise is a cause; normal priors on its log, a narrow and a wide.
+
+    Args:
+        log: of the factor, as it was measured.
+        error: of that, standard deviation.
+        usual: standard deviation where it is no cause.
+        settings: of the diagnosis.
+    """
+    odds = settings.search.prior / (1 - settings.search.prior)
+    wide_log, narrow_log = (
+        stats.norm.logpdf(log, 0.0, np.hypot(error, spread)) for spread in (settings.motion_noise.changed_spread, usual)
+    )
+    return float(special.expit(wide_log - narrow_log + np.log(odds)))
