@@ -112,7 +112,7 @@ def floor_gains(collected: Sequence[Collected]) -> list[FloorGain]:
         if not set(names) <= set(one.table):
             continue
         for recording, own in one.table.dropna(subset=names).groupby("recording", sort=False):
-            command_mm, history_mm, command_deg, history_deg = (float(own[name].iloc[0]) for name in names)
+            command_mm, history_mm, command_deg, history_deg = (float(own[name].min()) for name in names)
             gain = FloorGain(
                 robot=one.summary.robot,
                 recording=str(recording),

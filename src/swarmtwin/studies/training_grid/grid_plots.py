@@ -115,7 +115,7 @@ def _draw_floors(line: Callable[..., Any], own: pd.DataFrame, quantity: str) -> 
     for known, dashes in (("command", "-"), ("history", ":")):
         values = own.get(f"floor_{known}_{quantity}", pd.Series(dtype=float)).dropna()
         if len(values):
-            line(float(values.iloc[0]), color=FLOOR, linewidth=1, linestyle=dashes, label=f"floor, given the {known}")
+            line(float(values.min()), color=FLOOR, linewidth=1, linestyle=dashes, label=f"floor, given the {known}")
 
 
 def curve_figure(table: pd.DataFrame, x: str, title: str) -> Figure:

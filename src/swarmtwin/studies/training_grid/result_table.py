@@ -120,13 +120,14 @@ def shown_table(table: pd.DataFrame, title: str) -> StudyTable:
 
 
 def _floor_row(table: pd.DataFrame, recordings: Sequence[str], known: str) -> list[str]:
+    """Return the floors: one for all models on a stand-in, else the least that any of them makes known."""
     cells = []
     for recording in (one for one in recordings if one != "open_loop"):
         own = table[table.recording == recording]
         if f"floor_{known}_position_mm" not in own or own[f"floor_{known}_position_mm"].isna().all():
             return []
-        figures = own.loc[own[f"floor_{known}_position_mm"].first_valid_index()]
-        cells.append(f"{figures[f'floor_{known}_position_mm']:.2f}; {figures[f'floor_{known}_orientation_deg']:.2f}")
+        least = (own[f"floor_{known}_{name}"].min() for name in ("position_mm", "orientation_deg"))
+        cells.append("; ".join(f"{figure:.2f}" for figure in least))
     return [_floor_name(table, known), "", "", *cells, "", "", ""]
 
 
@@ -216,7 +217,7 @@ def brief_table(table: pd.DataFrame, title: str) -> StudyTable:
     for known in ("command", "history"):
         names = [f"floor_{known}_{name}" for name in ("position_mm", "orientation_deg")]
         if names[0] in own and own[names[0]].notna().any():
-            figures = [_number(own[name].dropna().iloc[0]) for name in names]
+            figures = [_number(own[name].min()) for name in names]
             rows.append([_floor_name(table, known), "", *figures, "", ""])
     loops = table[table.recording == list(dict.fromkeys(table.recording))[-1]].set_index("title")
     for row in own.to_dict("records"):
