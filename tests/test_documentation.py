@@ -1,6 +1,7 @@
 """What the README and the documentation say is so: code runs, commands are understood, links lead somewhere."""
 
 import itertools
+import json
 import os
 import re
 import subprocess
@@ -8,6 +9,8 @@ import sys
 from pathlib import Path
 
 import hydra
+import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -18,6 +21,7 @@ from swarmtwin.commands.app import _spelled_out
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.configuration import config_files, config_folder, let_hydra_find_plugins
 from swarmtwin.robot import Robot
+from swarmtwin.world.rollout import Rate
 from test_outside import WAY
 from tiny_policies import robot_named, simulation
 
@@ -107,6 +111,35 @@ def test_the_readme_is_short_and_begins_with_a_picture():
     assert len(lines) < 150
     assert "](docs/images/group.gif)" in "".join(lines[:6])
     assert (DOCS / "images" / "group.gif").stat().st_size < 500_000
+
+
+def test_what_the_readme_says_of_models_is_what_they_were_measured_with():
+    for robot, models in {"mgr": ("crnet-R", "mlp-R"), "mur": ("crnet-R", "kinematic-R")}.items():
+        file = DOCS / "results" / "models" / robot / "table.csv"
+        if not file.is_file():
+            pytest.skip("no docs/results/models: dvc pull docs/results/dvc.yaml")
+        table = pd.read_csv(file).query("recording == 'train_vehicle'").set_index("title")
+        figures = [*table.position_mm[list(models)], table.floor_command_position_mm.iloc[0]]
+        (row,) = [line for line in README.read_text().splitlines() if re.match(rf"\|.*\b{robot.upper()}\b.*mm", line)]
+        assert re.findall(r"[\d.]+(?= mm)", row)[:3] == [f"{figure:.2f}" for figure in figures]
+        limit = float(re.search(r"below ([\d.]+) mm", row)[1])
+        assert (table.position_mm_over_seeds[list(models)] < limit).all()
+
+
+def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
+    file = DOCS / "results" / "hidden_effects" / "metrics.json"
+    if not file.is_file():
+        pytest.skip("no docs/results/hidden_effects: dvc pull docs/results/dvc.yaml")
+    families = json.loads(file.read_text())["families"].values()
+    for of, counts in {
+        "is named, and nothing else": [own["one"]["10 % or more"]["exact"] for own in families],
+        "a cause is named, or an alarm raised": [own["clean"]["alarmed"] for own in families],
+    }.items():
+        count, total = (sum(one[name] for one in counts) for name in ("count", "total"))
+        rate = Rate.of(np.arange(total) < count)
+        (row,) = [line for line in README.read_text().splitlines() if of in line]
+        assert f"{count} of {total}" in row
+        assert f"{100 * rate.low:.0f} to {100 * rate.high:.0f} %" in row
 
 
 @pytest.mark.parametrize(
