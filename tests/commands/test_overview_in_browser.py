@@ -11,7 +11,7 @@ def test_the_overview_loads_without_errors_and_fits(swarmtwin, model, workshop, 
     for width in (1280, 400):
         page = browser.open(workshop / "overview" / "overview.html", width)
         shown = page.text()
-        for said in ("What the pipeline made", "Micro-Ground Robot (mgr)", "kinematic", "floor", "smallest error"):
+        for said in ("What the pipeline made", "Micro-Ground Robot (mgr)", "kinematic", "floor", "least error"):
             assert said in shown
         assert page.evaluate("document.images.length") >= 2
         assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")

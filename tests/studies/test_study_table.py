@@ -14,7 +14,7 @@ def table():
         "Errors",
         ("model\nparameters", "colli-\nsions", "where"),
         [["floor", "", "[brackets] & <signs>"], ["crnet\n95,511", "1 %\n2 %", "here"]],
-        "bold: the first of them",
+        "with *: the first of them",
         floors=1,
         marked=(1,),
         left=(2,),
@@ -28,9 +28,9 @@ def test_a_text_file_has_its_lines_in_cells_and_words_on_the_left(table):
         "| model<br>parameters | collisions | where |",
         "| --- | ---: | --- |",
         "| floor |  | [brackets] & <signs> |",
-        "| **crnet<br>95,511** | 1 %<br>2 % | here |",
+        "| crnet *<br>95,511 | 1 %<br>2 % | here |",
         "",
-        "Bold: the first of them.",
+        "With *: the first of them.",
     ]
 
 
@@ -41,8 +41,8 @@ def test_a_table_without_title_and_caption_is_its_cells_alone():
 def test_a_page_escapes_what_is_no_markup_and_tells_rows_apart(table):
     html = table.html()
     assert '<tr class="floor"><td>floor</td><td></td><td>[brackets] &amp; &lt;signs&gt;</td></tr>' in html
-    assert '<tr class="marked"><td>crnet<br>95,511</td><td>1 %<br>2 %</td><td>here</td></tr>' in html
-    assert html.endswith("<p>Bold: the first of them.</p>")
+    assert '<tr class="marked"><td>crnet *<br>95,511</td><td>1 %<br>2 %</td><td>here</td></tr>' in html
+    assert html.endswith("<p>With *: the first of them.</p>")
 
 
 def test_the_terminal_takes_no_cell_for_markup(table):
@@ -51,3 +51,4 @@ def test_the_terminal_takes_no_cell_for_markup(table):
     shown = console.file.getvalue()
     assert "[brackets] & <signs>" in shown
     assert "colli-" in shown
+    assert "crnet *" in shown

@@ -4,9 +4,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -49,14 +49,6 @@ class Options(StrictModel):
     output: Path | None
     overwrite: bool
 
-    @model_validator(mode="after")
-    def _one_process_to_the_end(self) -> Self:
-        if self.trainer.processes > 1:
-            raise ValueError("a generator is trained by one process: trainer=default or trainer=gpu")
-        if self.trainer.patience_epochs is not None:
-            raise ValueError("a generator has no loss by which it could end early: leave trainer.patience_epochs out")
-        return self
-
 
 def run(options: Options) -> dict[str, Any]:
     """Train a generator and draw from it, or draw from the one given; return how good that is, if it was measured.
@@ -66,8 +58,17 @@ def run(options: Options) -> dict[str, Any]:
     """
     if options.from_folder:
         return _draw_from(options, options.from_folder)
+    _check_trainer(options.trainer)
     assert options.robot is not None
     return _train(options, options.robot)
+
+
+def _check_trainer(trainer: TrainerSettings) -> None:
+    """Check that a generator can be trained so: by one process, to the end."""
+    if trainer.processes > 1:
+        raise UserError("a generator is trained by one process: trainer=default or trainer=gpu")
+    if trainer.patience_epochs is not None:
+        raise UserError("a generator has no loss by which it could end early: leave trainer.patience_epochs out")
 
 
 def _draw_from(options: Options, source: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ class StudyTable:
         rows: of cells.
         caption: what stands below it.
         floors: how many rows, from the first, are no results but the best that can be.
-        marked: numbers of the rows that the caption says something of.
+        marked: numbers of the rows that the caption says something of: their names bear a star.
         left: numbers of further columns of words, set on the left.
     """
 
@@ -38,7 +38,7 @@ class StudyTable:
         for number, heading in enumerate(self.headings):
             words = number == 0 or number in self.left
             table.add_column(heading, justify="left" if words else "right", no_wrap=not number)
-        for number, row in enumerate(self.rows):
+        for number, row in enumerate(self._starred):
             style = "dim" if number < self.floors else "bold" if number in self.marked else None
             table.add_row(*map(Text, row), style=style)
         table.caption = self.caption or None
@@ -48,9 +48,7 @@ class StudyTable:
         """Return it for a text file."""
         rulers = ["---" if column == 0 or column in self.left else "---:" for column in range(len(self.headings))]
         lines = [f"| {' | '.join(_unbroken(self.headings))} |", f"| {' | '.join(rulers)} |"]
-        for number, row in enumerate(self.rows):
-            name = f"**{row[0]}**" if number in self.marked else row[0]
-            lines.append("| " + " | ".join((name, *row[1:])) + " |")
+        lines += [f"| {' | '.join(map(str.rstrip, row))} |" for row in self._starred]
         cells = "\n".join(re.sub(r" *\n", "<br>", line) for line in lines)
         heading = f"## {self.title}\n\n" if self.title else ""
         return heading + cells + "\n" + (f"\n{self._sentence}\n" if self.caption else "")
@@ -58,11 +56,20 @@ class StudyTable:
     def html(self) -> Markup:
         """Return it for a page, without its title; rows that are floors or marked bear that as their class."""
         lines = [_html_row("th", _unbroken(self.headings))]
-        for number, row in enumerate(self.rows):
+        for number, row in enumerate(self._starred):
             kind = "floor" if number < self.floors else "marked" if number in self.marked else ""
             lines.append(_html_row("td", row, kind))
         table = Markup("<table>\n{}\n</table>").format(Markup("\n").join(lines))
         return table + Markup("\n<p>{}</p>").format(self._sentence) if self.caption else table
+
+    @property
+    def _starred(self) -> list[list[str]]:
+        """The rows, with a star behind the first line of each marked one's name."""
+        names = (re.sub(r"$", " *", row[0], count=1, flags=re.MULTILINE) for row in self.rows)
+        return [
+            [name if number in self.marked else row[0], *row[1:]]
+            for number, (name, row) in enumerate(zip(names, self.rows, strict=True))
+        ]
 
     @property
     def _sentence(self) -> str:

@@ -61,8 +61,8 @@ def model_table(title: str, table: pd.DataFrame) -> StudyTable:
         f"{title}: errors on runs the models have not seen",
         ("model\nparameters", *figures, "dead\nseeds"),
         rows,
-        "mean ± standard deviation, position above orientation; bold: least error on the validation runs, by which it "
-        "was chosen; floor: of the best model with the robot's situation, with the commands before as well; ≈ "
+        "mean ± standard deviation, position above orientation; * least error on the validation runs, by which it was "
+        "chosen; floor: of the best model with the robot's situation, with the commands before as well; ≈ "
         "estimated; model error: distance to the stand-in's exact mean displacement",
         floors=floors,
         marked=marked,
