@@ -186,8 +186,8 @@ def test_the_overview_marks_the_best_of_two_models_of_one_kind(swarmtwin, models
     assert "rough *" in answer.shown
     assert "mlp *" not in answer.shown
     text = (workshop / "overview" / "overview.html").read_text()
-    assert re.search(r'<tr class="best">\s*<td>rough</td>', text)
-    assert not re.search(r'<tr class="best">\s*<td>mlp</td>', text)
+    assert re.search(r'<tr class="marked"><td>rough \*<br>', text)
+    assert not re.search(r'<tr class="marked"><td>mlp', text)
 
 
 def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
