@@ -5,7 +5,9 @@ import io
 import pytest
 from rich.console import Console
 
+from swarmtwin.errors import UserError
 from swarmtwin.studies.study_table import StudyTable
+from swarmtwin.studies.tables.study import Options, run
 
 
 @pytest.fixture
@@ -52,3 +54,15 @@ def test_the_terminal_takes_no_cell_for_markup(table):
     assert "[brackets] & <signs>" in shown
     assert "colli-" in shown
     assert "crnet *" in shown
+
+
+def test_what_a_pipeline_left_damaged_or_not_at_all_is_refused(robots, tmp_path):
+    asked = {"name": "tables", "robot": robots["mgr"], "artifacts": tmp_path, "output": tmp_path / "out"}
+    options = Options(**asked, overwrite=False)
+    with pytest.raises(UserError, match="table.csv is missing: run `dvc repro` first"):
+        run(options)
+    (tmp_path / "comparison" / "mgr").mkdir(parents=True)
+    (tmp_path / "comparison" / "mgr" / "table.csv").write_text("")
+    with pytest.raises(UserError, match="robot 'mgr' is damaged"):
+        run(options)
+    assert not (tmp_path / "out").exists()

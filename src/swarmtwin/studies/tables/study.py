@@ -33,9 +33,13 @@ def run(options: Options) -> dict[str, Any]:
     """Write tables.md; return where it is.
 
     Raises:
-        UserError: the pipeline has not run, or the output is taken.
+        UserError: the pipeline has not run, what it left is damaged, or the output is taken.
     """
-    tables = list(_tables(options.artifacts, options.robot))
+    try:
+        tables = list(_tables(options.artifacts, options.robot))
+    except (ValueError, KeyError) as error:
+        left = f"{options.artifacts}: what the pipeline left of robot {options.robot.name!r}"
+        raise UserError(f"{left} is damaged ({error}): run `dvc repro`") from None
     with new_folder(options.output, "experiment", options.model_dump(mode="json"), options.overwrite) as folder:
         write_text(folder / FILE, "\n".join(table.markdown() for table in tables))
     Console().print(f"tables: {options.output / FILE}", highlight=False, soft_wrap=True)
