@@ -59,7 +59,7 @@ def test_the_terminal_takes_no_cell_for_markup(table):
 def test_what_a_pipeline_left_damaged_or_not_at_all_is_refused(robots, tmp_path):
     asked = {"name": "tables", "robot": robots["mgr"], "artifacts": tmp_path, "output": tmp_path / "out"}
     options = Options(**asked, overwrite=False)
-    with pytest.raises(UserError, match="table.csv is missing: run `dvc repro` first"):
+    with pytest.raises(UserError, match=r"table\.csv is missing: run `dvc repro` first"):
         run(options)
     (tmp_path / "comparison" / "mgr").mkdir(parents=True)
     (tmp_path / "comparison" / "mgr" / "table.csv").write_text("")
