@@ -113,7 +113,7 @@ def test_a_session_shows_whether_the_speed_or_the_effort_is_weaker(robots, name,
         return exp_map(moment.way * share(moment))
 
     model = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(24), moved))
-    on_speed, on_efforts = (estimate(model, [form.at(begun)]) for form in mechanism_class(name).forms())
+    on_speed, on_efforts = (estimate(model, [form.at(begun)]) for form in mechanism_class(name).forms(model.robot))
     assert (on_speed.mechanisms[0].acts_on, on_efforts.mechanisms[0].acts_on) == ("speed", "effort")
     right, wrong = (on_efforts, on_speed) if on_effort else (on_speed, on_efforts)
     assert right.evidence > wrong.evidence + 10

@@ -43,7 +43,7 @@ def driven(dynamics):
     nothing = torch.zeros(COUNT, dtype=torch.float64)
     moment = Moment(
         robot=dynamics.robot,
-        conditions=conditions_of(dynamics.robot).model_copy(update={"own_lag": 0.2}),
+        conditions=conditions_of(dynamics.robot).model_copy(update={"own_lags": (0.2, 0.2, 0.2)}),
         pose=torch.zeros(COUNT, 3, dtype=torch.float64),
         elapsed_s=nothing,
         duration_s=nothing + dynamics.robot.period_s,

@@ -183,7 +183,7 @@ def test_a_folder_of_an_earlier_version_still_loads(robots, tmp_path):
     path = tmp_path / "model.yaml"
     description = yaml.safe_load(path.read_text())
     del description["model"]["motion_noise"]
-    for unknown in ("own_lag", "effort_exponents"):
+    for unknown in ("own_lags", "effort_exponents"):
         description["model"]["surroundings"].pop(unknown)
     description["model"] |= {"learning_rate": 1.0, "steps": 1}
     path.write_text(yaml.safe_dump(description))
@@ -200,7 +200,7 @@ def test_one_step_from_a_measured_situation_is_a_step_of_the_state(robots, robot
     robot = robots[robot]
     travel = {"travel_mm": 3.0} if robot.actuation.kind == "wheel" else {"travel_rad": 0.1}
     chosen = {"command_delay": {"delay_s": 0.1}, "actuator_lag": {"time_constant_s": 0.06}, "backlash": travel}
-    simulation = simulation_with(robot, dynamics(robot), conditions_of(robot, own_lag=0.1), **chosen)
+    simulation = simulation_with(robot, dynamics(robot), conditions_of(robot, own_lags=(0.1,) * 3), **chosen)
     situation = situation_of(robot, np.random.default_rng(4))
     state = simulation.start(situation.pose[:, None])
     for command in (situation.earlier_command,) * 12 + (situation.previous_command,):
@@ -215,7 +215,7 @@ def test_a_null_mechanism_leaves_the_learned_transient_as_it_is(robots):
     situation = situation_of(robot, np.random.default_rng(4))
     alone = LaggingDynamics(robot).predict(situation)
     for chosen in ({"actuator_lag": {"time_constant_s": 1e-9}}, {"command_delay": {"delay_s": 1e-9}}):
-        simulation = simulation_with(robot, LaggingDynamics(robot), conditions_of(robot, own_lag=0.2), **chosen)
+        simulation = simulation_with(robot, LaggingDynamics(robot), conditions_of(robot, own_lags=(0.2,) * 3), **chosen)
         torch.testing.assert_close(simulation.predict(situation), alone, rtol=0, atol=1e-5)
 
 

@@ -228,6 +228,51 @@ def test_neighbours_push_each_other_apart_equally(robots):
     torch.testing.assert_close(ends[0], expected, rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.parametrize("apart_mm", [4.0, 40.0])
+def test_vehicles_that_attract_each_other_meet_and_do_not_change_places(robots, apart_mm):
+    robot = robots["mgr"]
+    neighbours = torch.tensor([[[apart_mm, 0.0, 0.0]]])
+    situation = situation_of(robot, np.random.default_rng(4), count=1, command=np.zeros((1, 2)), neighbours=neighbours)
+    measured, _ = moved(robot, "neighbour_interaction", situation, strength_mm_s=-30.0, reach_mm=250.0)
+    free_mm = 30.0 * robot.period_s * math.exp(-apart_mm / 250.0)
+    assert measured[0, 0].item() == pytest.approx(min(free_mm, apart_mm / 2), rel=1e-3)
+
+
+@pytest.mark.parametrize(("heading_rad", "clearance_mm"), [(0.0, 80.0), (math.pi / 2, 50.0), (math.pi, 80.0)])
+def test_a_current_carries_no_vehicle_through_a_wall(robots, heading_rad, clearance_mm):
+    robot = robots["mur"]
+    high_mm = robot.arena_mm.high_mm
+    apart_mm = np.array([200.0, 60.0 + clearance_mm, clearance_mm - 10.0])
+    pose = np.column_stack([high_mm[0] - apart_mm, np.full(3, high_mm[1] / 2), np.full(3, heading_rad)])
+    situation = situation_of(
+        robot, np.random.default_rng(5), count=3, pose=pose, command=np.tile([0.0, 0.0, 5.0], (3, 1))
+    )
+    conditions = conditions_of(robot, clearance_mm=(80.0, 50.0))
+    drift = {"x_mm_s": 100.0, "y_mm_s": 0.0}
+    simulation = simulation_with(robot, None, conditions, steady_drift=drift)
+    end = compose(situation.pose, simulation.predict(situation))
+    carried_mm = (end - situation.pose)[:, 0].tolist()
+    assert carried_mm == pytest.approx([100.0 * robot.period_s, 60.0, 0.0], abs=1e-6)
+
+
+def test_each_wheel_is_slowed_where_it_is(robots):
+    """The left wheel on the disc, both, and none: straight commands turn the vehicle to the left, not, and not."""
+    robot = robots["mgr"]
+    disc = {"x_mm": 500.0, "y_mm": 700.0, "radius_mm": 200.0, "loss": 0.4}
+    pose = np.column_stack([np.full(3, 480.0), [480.0, 700.0, 200.0], np.zeros(3)])
+    situation = situation_of(robot, np.random.default_rng(6), count=3, pose=pose, command=np.full((3, 2), 80.0))
+    by_wheel, simulated = moved(robot, "surface_patch", situation, slows="wheels", **disc)
+    whole, _ = moved(robot, "surface_patch", situation, **disc)
+    torch.testing.assert_close(by_wheel[1:], whole[1:])
+    torch.testing.assert_close(by_wheel[2], simulated[2])
+    track_mm = robot.actuation.track_mm or 84.0
+    twist = log_map(by_wheel)[0]
+    left, right = wheel_travel(twist[None], track_mm)[0].tolist()
+    straight_mm = simulated[0, 0].item()
+    assert left == pytest.approx(0.6 * straight_mm, rel=1e-6)
+    assert right == pytest.approx(straight_mm, rel=1e-6)
+
+
 @pytest.mark.parametrize("probability", [0.0, 0.2, 0.6])
 def test_a_command_arrives_or_the_one_in_force_goes_on(robots, probability):
     robot = robots["mgr"]

@@ -361,7 +361,7 @@ def test_a_delay_and_a_further_lag_of_wheels_that_lag_anyway_are_told_apart(robo
     robot, truth, simulated = robots["mgr"], {}, {}
     values = {"command_delay": {"delay_s": delay_s}, "actuator_lag": {"time_constant_s": delay_s}}
     for name, own in values.items():
-        conditions = conditions_of(robot, own_lag=SluggishWheels.own_lag)
+        conditions = conditions_of(robot, own_lags=(SluggishWheels.own_lag,) * 3)
         simulation = simulation_with(robot, SluggishWheels(robot), conditions, **{name: own})
         state, poses = simulation.start(torch.as_tensor(START["mgr"][None, None])), []
         for command in COMMANDS["mgr"]:

@@ -14,7 +14,7 @@ from swarmtwin.geometry import residual_between
 from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.standin.effects import catalogue, parse_effects
 from swarmtwin.standin.session import StandInSession
-from swarmtwin.studies.hidden_effects import families
+from swarmtwin.studies import stand_in_families
 from swarmtwin.studies.hidden_effects.cases import Case, cases
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
@@ -227,10 +227,10 @@ def test_every_hidden_effect_lies_within_what_its_mechanism_can_be(robots):
 
 
 def test_an_engine_that_is_not_there_is_refused_with_the_remedy(monkeypatch):
-    monkeypatch.setattr(families, "find_spec", lambda name: object() if "rigid" in name else None)
+    monkeypatch.setattr(stand_in_families, "find_spec", lambda name: object() if "rigid" in name else None)
     with pytest.raises(UserError, match=r"family 'rigid_body' needs MuJoCo: pip install"):
         cases("rigid_body", "one", 1, 1)
-    assert not families.is_available("rigid_body")
+    assert not stand_in_families.is_available("rigid_body")
     with pytest.raises(UserError, match="no such kind of session: 'pair'"):
         cases("formulas", "pair", 1, 1)
 

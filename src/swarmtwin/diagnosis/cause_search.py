@@ -116,7 +116,7 @@ class CauseSearch:
                 if candidate.nats > self.settings.least_promise:
                     self._fit(candidate.start)
             sized = sorted((one for one in self.fitted.values() if len(one.names) == count), key=self.score)
-            frontier = sized[::-1][: self.settings.kept_sets]
+            frontier = sorted(map(self._polished, sized[::-1][: self.settings.kept_sets]), key=self.score, reverse=True)
             if not frontier or self.score(frontier[0]) < best:
                 break
             best = self.score(frontier[0])
@@ -125,7 +125,7 @@ class CauseSearch:
 
     def score(self, one: EstimatedSet) -> float:
         """Return the log of evidence times prior, all forms of a cause equally probable beforehand."""
-        forms = sum(math.log(len(kind.forms())) for kind in one.fitted.kinds)
+        forms = sum(math.log(len(kind.forms(self.model.robot))) for kind in one.fitted.kinds)
         return one.evidence - forms - self._gained_by_usual_loss(one) - self._log_odds_against(one)
 
     def _log_odds_against(self, one: EstimatedSet) -> float:
@@ -156,10 +156,23 @@ class CauseSearch:
         ]
 
     def _fit(self, start: Sequence[Mechanism]) -> EstimatedSet:
+        """Fit a set, anew where it was fitted before and is likelier already where it would begin now."""
         key = frozenset(type(one) for one in start)
-        if key not in self.fitted:
-            self.fitted[key] = estimate(self.model, start)
+        known = self.fitted.get(key)
+        if known is None or (start and self.model.evaluate(start).total > known.fitted.total + 0.5):
+            found = estimate(self.model, start)
+            if known is None or self.score(found) > self.score(known):
+                self.fitted[key] = found
         return self.fitted[key]
+
+    def _polished(self, one: EstimatedSet) -> EstimatedSet:
+        """Search a little around a set's values where the motion changes by jumps: others begin from there."""
+        if not all(kind.is_smooth for kind in one.fitted.kinds) and not loses_commands(one.fitted.kinds):
+            found = estimate(self.model, one.mechanisms, polish=True)
+            if self.score(found) > self.score(one):
+                self.fitted[frozenset(one.fitted.kinds)] = found
+                return found
+        return one
 
     def _drop_one(self) -> None:
         """Fit what is left of the best set when single causes are taken out of it, until none of that is better.

@@ -134,7 +134,7 @@ class _Search:
             precision, loss = gram[:-1, :-1] + self.prior_precision, gram[-1, -1]
             moved = self._bounded_step(values, precision, -gram[:-1, -1])
             for _ in range(4):
-                if self._loss(effects, self.whitened(moved)) <= loss:
+                if effects.loss(self.whitened(moved)) <= loss:
                     break
                 moved = (moved + values) / 2
             else:
@@ -160,10 +160,6 @@ class _Search:
                 return values
         return self.clipped(values)
 
-    @staticmethod
-    def _loss(effects: RandomEffects, whitened: np.ndarray) -> float:
-        return float(effects.gram(whitened[:, None])[0, 0])
-
     def _total(self, values: np.ndarray) -> float:
         return self.model.evaluate(self.at(values)).total
 
@@ -188,7 +184,7 @@ class _Search:
             moved = values + scaled * self.step
             if np.any(moved < self.low) or np.any(moved > self.high):
                 return np.inf
-            return self._loss(effects, self.whitened(moved))
+            return effects.loss(self.whitened(moved))
 
         simplex = np.concatenate([np.zeros((1, len(values))), np.eye(len(values)) * 1.5])
         options = {

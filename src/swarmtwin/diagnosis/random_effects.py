@@ -68,6 +68,10 @@ class RandomEffects:
         product: np.ndarray = weighted.T @ columns - along.T @ self.inverse @ along
         return product
 
+    def loss(self, whitened: np.ndarray) -> float:
+        """Return the sum of squares of whitened errors (3 N,), the effects integrated out."""
+        return float(self.gram(whitened[:, None])[0, 0])
+
     def beyond(self, columns: np.ndarray) -> np.ndarray:
         """Return columns (3 N, p), weighted, less what the effects take over: what their products are made with."""
         weighted = columns * self.weight[:, None]

@@ -141,6 +141,7 @@ class Reference:
     ) -> Self:
         """Learn the noise from what cross-fitted answers leave of the reference's own transitions."""
         session = session.under(with_actuation(session.conditions, base, seed))
+        session = session.under(session.conditions.model_copy(update={"clearance_mm": _clearance_mm(session, base)}))
         cross_fitted, has_momentum = CrossFitted(base, fold), "velocity" in base.inputs
         predictor = SessionPredictor(cross_fitted, session.conditions, session.situation, session.follows)
         twist = predictor.twist(())
@@ -205,7 +206,7 @@ class Reference:
     def conditions_for(self, transitions: Transitions) -> SessionConditions:
         """Return the conditions of another session of this robot."""
         own = self.session.conditions
-        known = {name: getattr(own, name) for name in ("track_mm", "own_lag", "effort_exponents")}
+        known = {name: getattr(own, name) for name in ("track_mm", "own_lags", "effort_exponents", "clearance_mm")}
         return conditions_of(transitions).model_copy(update=known)
 
     def covers(self, commands: np.ndarray) -> np.ndarray:
@@ -243,6 +244,23 @@ def conditions_of(transitions: Transitions) -> SessionConditions:
     """Return where and how long transitions were measured."""
     lasted_s = float((transitions.time_s + transitions.duration_s).max()) if len(transitions) else 1.0
     return SessionConditions(arena_mm=transitions.arena_mm, session_s=max(lasted_s, transitions.robot.period_s))
+
+
+def _clearance_mm(session: MeasuredSession, base: BaseDynamics, doubted: float = 0.005) -> tuple[float, float] | None:
+    """Return how near vehicles came to walls that they faced, and to walls that they lay along.
+
+    A share `doubted` of the poses came nearer. None where the base does not look at the pose: then nothing stops its
+    robot anywhere.
+    """
+    if "pose" not in base.inputs:
+        return None
+    arena, pose = session.conditions.arena_mm, session.transitions.pose
+    away_mm = np.concatenate([pose[:, :2] - arena.low_mm, arena.high_mm - pose[:, :2]], axis=1)
+    across = np.abs(np.cos(pose[:, 2, None] - np.pi * np.array([1.0, 1.5, 0.0, 0.5])))
+    facing_mm, along_mm = away_mm[across > 0.87], away_mm[across < 0.5]  # within 30 degrees
+    if not (len(facing_mm) and len(along_mm)):
+        return None
+    return float(np.quantile(facing_mm, doubted)), float(np.quantile(along_mm, doubted))
 
 
 def require_enough(session: MeasuredSession, settings: ReferenceSettings, what: str, remark: str = "") -> None:

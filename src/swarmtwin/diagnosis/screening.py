@@ -54,7 +54,7 @@ def candidates(
     found = []
     for name, cause in kinds.items():
         if name not in beside.names:
-            for kind in cause.forms():
+            for kind in cause.forms(model.robot):
                 for start in _grid(model, kind, traction):
                     found.append(_candidate(model, beside, here, name, kind, start))
     return found
@@ -150,7 +150,17 @@ def _candidate(
             solution, values[key] = np.zeros_like(solution), value
     nats = float(solution @ side - solution @ gram @ solution / 2)
     off = {key: value - nulls[key] for key, value in moved.items()}
-    return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, begun, off)
+    ahead = (*beside.mechanisms, kind.at(values))
+    if len(moved) == 1:  # what it does need not grow in proportion: where it was looked at may be better
+        there = {**begun, **moved}
+        error = model.whitened(arriving(ahead))
+        error[beside.is_lost] = 0.0
+        losses = [model.effects.loss(one.ravel()) / 2 for one in (here, error)]
+        attained, on_grid = losses[0] - losses[1], float(side[0] - gram[0, 0] / 2)
+        nats = max(attained, on_grid)
+        if on_grid > attained:
+            ahead = (*beside.mechanisms, kind.at(there))
+    return Candidate(name, nats, ahead, columns, begun, off)
 
 
 def _off_null(parameter: Parameter, value: float) -> float:

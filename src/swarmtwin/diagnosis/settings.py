@@ -193,7 +193,7 @@ class SearchSettings(StrictModel):
     least_share_beside: NonNegative = 0.02
     most_causes: Count = 4
     most_transitions: Count = 6000
-    grid_points: Count = 12
+    grid_points: Count = 32
     fitted_a_set: Count = 4
     fitted_pairs: Count = 4
     kept_sets: Count = 2

@@ -115,7 +115,7 @@ class Surroundings:
         kind = type(mechanism)
         sizes = [one.size for _, _, one in self.model.parameters([kind])]
         curvature = float(np.linalg.slogdet(self.gram(slopes) + precision)[1]) / 2 if sizes else 0.0
-        forms = math.log(len(kind.forms()))
+        forms = math.log(len(kind.forms(self.model.robot)))
         return forms + curvature + float(np.log(sizes).sum()) - len(sizes) * math.log(2 * math.pi) / 2
 
     def imitation(self, change: np.ndarray, rival: Candidate) -> Mechanism | None:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy import optimize
 from torch import Tensor
 
 from swarmtwin.dynamics.predictor import DynamicsModel
@@ -15,6 +16,7 @@ from swarmtwin.geometry import log_map
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.following_actuators import left_over
 
 
 class TrialCommands(NamedTuple):
@@ -39,7 +41,7 @@ def with_actuation(conditions: SessionConditions, dynamics: DynamicsModel, seed:
     trial = TrialCommands.draw(dynamics.robot, conditions, seed)
     learned = {
         "track_mm": _track_mm(dynamics, trial),
-        "own_lag": _own_lag(dynamics, trial),
+        "own_lags": _own_lags(dynamics, trial),
         "effort_exponents": _effort_exponents(dynamics, trial),
     }
     return conditions.model_copy(update=learned)
@@ -81,19 +83,33 @@ def _track_mm(dynamics: DynamicsModel, trial: TrialCommands) -> float | None:
     return track_mm if track_mm > 0 else None
 
 
-def _own_lag(dynamics: DynamicsModel, trial: TrialCommands) -> float:
-    """Return the actuators' own time constant in periods: the part of the old twist left after a change of command.
+def _own_lags(dynamics: DynamicsModel, trial: TrialCommands, longest: float = 1.0) -> tuple[float, float, float]:
+    """Return the time constants in periods with which motion follows by itself: what a change of command leaves of it.
 
-    Where the model looks at velocity, that tells it of the old twist, and there is no lag beside it.
+    Of thrust each axis has its own: a hull may turn at once and gather way slowly. Wheels have one. Where the model
+    looks at velocity, that tells it of the old twist, and there is no lag beside it.
     """
     if "previous_command" not in dynamics.inputs or "velocity" in dynamics.inputs:
-        return 0.0
+        return 0.0, 0.0, 0.0
     now = _twist(dynamics, trial.command, trial.previous_command, trial.pose)
     steady = _twist(dynamics, trial.command, trial.command, trial.pose)
     late = _twist(dynamics, trial.previous_command, trial.previous_command, trial.pose) - steady
     size = late.std(dim=0).clamp(min=1e-9)
-    own = float((((now - steady) / size) * (late / size)).sum() / ((late / size) ** 2).sum())
-    return min(max(own, 0.0), 0.5)
+    along, squares = ((now - steady) * late / size**2).sum(dim=0), (late**2 / size**2).sum(dim=0).clamp(min=1e-9)
+    left = along / squares if dynamics.robot.actuation.kind == "thrust" else (along.sum() / squares.sum()).expand(3)
+    forward, aside, turn = (_lag_that_leaves(float(share), longest) for share in left)
+    return forward, aside, turn
+
+
+def _lag_that_leaves(share: float, longest: float) -> float:
+    """Return the time constant, in periods, of which this share of the old motion is left over a period, on average."""
+
+    def excess(lag: float) -> float:
+        return left_over(1.0, lag)[0] - share
+
+    if share <= 0:
+        return 0.0
+    return longest if excess(longest) <= 0 else float(optimize.brentq(excess, 0.0, longest))
 
 
 def _effort_exponents(dynamics: DynamicsModel, trial: TrialCommands) -> tuple[float, float, float]:

@@ -57,11 +57,11 @@ class Following(NamedTuple):
     def wheels_at_end(self, twists: BaseTwists, supply: Supply, wheels: ActuatorTwists) -> ActuatorTwists:
         """Return the twists of wheels at the period's end alone: those that `wheels` comes to."""
         new, old = supply(twists.steady(self.place)), supply(twists.steady(self.place + 1))
-        own_lag, (twist, undisturbed) = twists.moment.conditions.own_lag, wheels
+        own_lags, (twist, undisturbed) = twists.moment.conditions.own_lags, wheels
         for share, end in zip(self.shares, self.ends, strict=True):
             target = old if end <= self.latency else new
-            twist = target + (twist - target) * left_over(share, own_lag + self.added_lag)[1]
-            undisturbed = new + (undisturbed - new) * left_over(share, own_lag)[1]
+            twist = target + (twist - target) * _left_at_last(share, own_lags, self.added_lag)
+            undisturbed = new + (undisturbed - new) * _left_at_last(share, own_lags)
         return ActuatorTwists(twist, undisturbed)
 
     def settings(
@@ -81,13 +81,13 @@ class Following(NamedTuple):
         What is between two settings is taken for linear: by then little of the way is left, and nothing new is asked.
         """
         whole = self._replace(ends=(self.latency, 1.0) if 0 < self.latency < 1 else (1.0,))
-        own_lag = twists.moment.conditions.own_lag
+        own_lags = twists.moment.conditions.own_lags
         twist, undisturbed = moving
         for share, target in zip(whole.shares, whole._targets_between(twists, supply), strict=True):
-            _, twist = _relaxed_twist(twist, target, share, own_lag)
+            _, twist = _relaxed_twist(twist, target, share, own_lags)
         for change in whole._setting_changes(twists, setting):
             setting = change.end
-        _, undisturbed = _relaxed_twist(undisturbed, supply(twists.steady(self.place)), 1.0, own_lag)
+        _, undisturbed = _relaxed_twist(undisturbed, supply(twists.steady(self.place)), 1.0, own_lags)
         return setting, ActuatorTwists(twist, undisturbed)
 
     def _targets_between(self, twists: BaseTwists, supply: Supply) -> Iterator[Tensor]:
@@ -111,21 +111,24 @@ class Following(NamedTuple):
         added: the pieces are shifted by what it differs from a lag of first order, and what their product lacks is
         corrected.
         """
-        own_lag = twists.moment.conditions.own_lag
+        own_lags = twists.moment.conditions.own_lags
         response, new = supply(twists.response(self.place)), supply(twists.steady(self.place))
         twist, reference = moving
         pieces, references = [], []
         for share, target in zip(self.shares, targets, strict=True):
-            mean, twist = _relaxed_twist(twist, target, share, own_lag + added_lag)
-            reference_mean, reference = _relaxed_twist(reference, new, share, own_lag)
+            mean, twist = _relaxed_twist(twist, target, share, own_lags, added_lag)
+            reference_mean, reference = _relaxed_twist(reference, new, share, own_lags)
             pieces.append(mean)
             references.append(reference_mean)
         learned = response - sum(share * piece for share, piece in zip(self.shares, references, strict=True))
         correction = None
-        if own_lag > 0:
+        if any(own_lags):
             undisturbed = composed(zip(self.shares, (piece + learned for piece in references), strict=True))
             correction = response - log_map(undisturbed)
-        return [piece + learned for piece in pieces], correction, ActuatorTwists(twist, reference)
+        after = [float(end > self.latency) for end in self.ends] if self.latency < 1 else [1.0] * len(pieces)
+        held = sum(share for share, acts in zip(self.shares, after, strict=True) if acts)
+        pieces = [piece + learned * (acts / held) for piece, acts in zip(pieces, after, strict=True)]
+        return pieces, correction, ActuatorTwists(twist, reference)
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
         """Yield how settings change: towards the command before until the new one acts, then towards that."""
@@ -195,16 +198,51 @@ def composed(pieces: Iterable[tuple[float, Tensor]]) -> Tensor:
     return moved
 
 
-def _relaxed_twist(start: Tensor, target: Tensor, share: float, lag: float) -> tuple[Tensor, Tensor]:
+def _relaxed_twist(
+    start: Tensor, target: Tensor, share: float, own_lags: Sequence[float], added_lag: float = 0.0
+) -> tuple[Tensor, Tensor]:
     """Return the constant twist that brings vehicles as far as one that goes from `start` to `target`, and its end.
 
-    The mean, and to second order what it matters that the old twist (N, 3) comes first: half the integral of the Lie
-    bracket of earlier and later twists, as Magnus (1954) expands g' = g ξ.
+    Each axis goes with its own lag and the added one. The mean, and to second order what it matters that the old twist
+    (N, 3) comes first: half the integral of the Lie bracket of earlier and later twists, as Magnus (1954) expands
+    g' = g ξ.
     """
     late = start - target
-    on_average, left = left_over(share, lag)
-    order = (lag * (1 + left) - 2 * lag * on_average) / 2
-    return target + late * on_average + _bracket(late, target) * order, target + late * left
+    lags = [own + added_lag for own in own_lags]
+    on_average, left = (start.new_tensor(part) for part in zip(*(left_over(share, lag) for lag in lags), strict=True))
+    ahead, aside, turn = (
+        _Fading(target[:, axis], late[:, axis], lags[axis] / share, *left_over(share, lags[axis])) for axis in range(3)
+    )
+    order = torch.stack([-turn.before(aside), turn.before(ahead), torch.zeros_like(late[:, 2])], dim=-1)
+    return target + late * on_average + share * order, target + late * left
+
+
+class _Fading(NamedTuple):
+    """One axis of twists over a piece of a period, taken as the unit of time: target + late · exp(−t / lag), (N,)."""
+
+    target: Tensor
+    late: Tensor
+    lag: float
+    on_average: float
+    left: float
+
+    @property
+    def order(self) -> float:
+        """Half the integral of exp(−s / lag) − exp(−t / lag) over s < t."""
+        return (self.lag * (1 + self.left) - 2 * self.lag * self.on_average) / 2
+
+    def before(self, other: "_Fading") -> Tensor:
+        """Return half the integral over s < t of this at s times the other at t, less the same with s and t changed."""
+        together = self.lag * other.lag / (self.lag + other.lag) if self.lag and other.lag else 0.0
+        both, _ = left_over(1.0, together)
+        mixed = self.lag * (other.on_average - both) - other.lag * (self.on_average - both)
+        moved: Tensor = self.late * other.target * self.order - self.target * other.late * other.order
+        return moved + self.late * other.late * (mixed / 2)
+
+
+def _left_at_last(share: float, own_lags: Sequence[float], added_lag: float = 0.0) -> Tensor:
+    """Return (3,) what is left of a change of twist at the end of a piece of a period."""
+    return torch.tensor([left_over(share, own + added_lag)[1] for own in own_lags], dtype=torch.float64)
 
 
 def left_over(share: float, lag: float) -> tuple[float, float]:
@@ -213,10 +251,3 @@ def left_over(share: float, lag: float) -> tuple[float, float]:
         return 0.0, 0.0
     left = math.exp(-share / lag)
     return lag / share * (1 - left), left
-
-
-def _bracket(one: Tensor, other: Tensor) -> Tensor:
-    """Return the Lie bracket (N, 3) of twists on SE(2)."""
-    ahead = other[:, 2] * one[:, 1] - one[:, 2] * other[:, 1]
-    left = one[:, 2] * other[:, 0] - other[:, 2] * one[:, 0]
-    return torch.stack([ahead, left, torch.zeros_like(left)], dim=-1)

@@ -159,8 +159,8 @@ class Mechanism(StrictModel, ABC):
         return True
 
     @classmethod
-    def forms(cls) -> tuple[type["Mechanism"], ...]:
-        """Return the physical forms that this cause may take, all of its name: which one it is, a session shows."""
+    def forms(cls, robot: Robot) -> tuple[type["Mechanism"], ...]:
+        """Return the physical forms that this cause may take on a robot, all of its name: a session shows which."""
         return (cls,)
 
     @classmethod
@@ -264,6 +264,10 @@ class Mechanism(StrictModel, ABC):
         """Return the factor (N,) on how far the actuators bring vehicles at positions (N, 2); None: 1."""
         return None
 
+    def meets_each_wheel(self) -> bool:
+        """Say whether it is asked for the places of both wheels, each of which it slows by itself."""
+        return False
+
     # body
 
     def drift_velocity(self, displacement: Tensor, moment: Moment) -> Tensor | None:
@@ -359,11 +363,18 @@ def effort_unit(robot: Robot) -> str:
     return robot.command[robot.actuation.effort[0]].unit if robot.actuation.effort else "mm/s"
 
 
+def slowed(twist: Tensor, factor: Tensor, track_mm: float) -> Tensor:
+    """Return the twists (N, 3) of vehicles that come `factor` (N or 1, 1) as far, or (…, 2) by left and right wheel."""
+    if factor.shape[-1] == 2:
+        return twist_of_wheels(wheel_travel(twist, track_mm) * factor, twist, track_mm)
+    return twist * factor
+
+
 def scaled_by_effort(twist: Tensor, factor: Tensor, moment: Moment) -> Tensor:
     """Return the twists (N, 3) of actuators that are `factor` (N or 1, 1), or (…, 2) left and right, as fast."""
     if factor.shape[-1] == 2:
-        return twist_of_wheels(wheel_travel(twist, moment.track_mm) * factor, twist, moment.track_mm)
+        return slowed(twist, factor, moment.track_mm)
     exponents = torch.tensor(moment.conditions.effort_exponents, dtype=twist.dtype)
     if bool((exponents == 1).all()):
-        return twist * factor
+        return slowed(twist, factor, moment.track_mm)
     return twist * factor.clamp(min=1e-6) ** exponents

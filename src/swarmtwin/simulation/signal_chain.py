@@ -16,7 +16,7 @@ from torch import Tensor
 from swarmtwin.geometry import compose, exp_map, log_map, rotate
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
-from swarmtwin.simulation.mechanism import Mechanism, Moment, scaled_by_effort
+from swarmtwin.simulation.mechanism import Mechanism, Moment, scaled_by_effort, slowed
 
 Memory = Mapping[str, Tensor]
 TWIST, REFERENCE_TWIST, SETTING = "actuator twist", "reference's actuator twist", "actuator setting"
@@ -168,13 +168,24 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
         return composed(motion.pieces), motion.end
     moved, end, factor = torch.zeros_like(motion.end), motion.end, None
     for share, twist in motion.pieces:
-        middle = compose(moment.pose, compose(moved, exp_map(twist * (share / 2))))[:, :2]
+        middle = compose(moment.pose, compose(moved, exp_map(twist * (share / 2))))
         factor = torch.ones(len(middle), 1, dtype=torch.float64)
         for mechanism in gripping:
-            traction = mechanism.traction(middle, moment)
-            factor = factor if traction is None else factor * traction[:, None]
-        moved = compose(moved, exp_map(twist * factor * share))
-    return moved, end if factor is None else end * factor
+            traction = _traction(mechanism, middle, moment)
+            factor = factor if traction is None else factor * traction
+        moved = compose(moved, exp_map(slowed(twist, factor, moment.track_mm) * share))
+    return moved, end if factor is None else slowed(end, factor, moment.track_mm)
+
+
+def _traction(mechanism: Mechanism, pose: Tensor, moment: Moment) -> Tensor | None:
+    """Return the factor (N, 1), or (N, 2) left and right, on how far a mechanism lets vehicles at poses (N, 3) come."""
+    if not mechanism.meets_each_wheel():
+        traction = mechanism.traction(pose[:, :2], moment)
+        return None if traction is None else traction[:, None]
+    half = torch.tensor([[0.0, moment.track_mm / 2]], dtype=pose.dtype).expand(len(pose), 2)
+    aside = rotate(half, pose[:, 2])
+    sides = [mechanism.traction(pose[:, :2] + side * aside, moment) for side in (1, -1)]
+    return torch.stack([one for one in sides if one is not None], dim=-1)
 
 
 def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, moment: Moment) -> Tensor:
@@ -186,6 +197,8 @@ def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, moment
     for mechanism in moving:
         velocity_mm_s = mechanism.drift_velocity(halfway, moment)
         if velocity_mm_s is not None:
-            along = rotate(velocity_mm_s * moment.duration_s[:, None], -moment.pose[:, 2])
+            came_to = compose(moment.pose, displacement)
+            carried = moment.conditions.stopped_mm(came_to, velocity_mm_s * moment.duration_s[:, None])
+            along = rotate(carried, -moment.pose[:, 2])
             displacement = torch.cat([displacement[:, :2] + along, displacement[:, 2:]], dim=-1)
     return displacement

@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
+from swarmtwin.robot import Robot
 from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort
 
 
@@ -29,7 +30,7 @@ class Config(Mechanism):
     acts_on: Literal["speed", "effort"] = "speed"
 
     @classmethod
-    def forms(cls) -> tuple[type[Mechanism], ...]:
+    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
         """Return that of the speed and that of the effort."""
         return Config, Config.with_default("acts_on", "effort")
 

@@ -15,6 +15,7 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 class Config(Mechanism):
     """Each neighbour adds a velocity away from it: strength · exp(−distance / reach); negative attracts.
 
+    Vehicles that attract each other do not change places: in a period each comes half of the way between them at most.
     Distances are those in the middle of the vehicle's own way; where the neighbour goes meanwhile is not known.
     """
 
@@ -43,5 +44,7 @@ class Config(Mechanism):
         """Add what all neighbours do."""
         apart = displacement[:, None, :2] - moment.neighbours[..., :2]
         distance_mm = apart.norm(dim=-1, keepdim=True) + 1e-3
-        push = self.strength_mm_s * torch.exp(-distance_mm / self.reach_mm) * apart / distance_mm
+        speed_mm_s = self.strength_mm_s * torch.exp(-distance_mm / self.reach_mm)
+        met_mm_s = -distance_mm / (2 * moment.duration_s[:, None, None])
+        push = torch.maximum(speed_mm_s, met_mm_s) * apart / distance_mm
         return rotate(push.nan_to_num(0.0).sum(dim=1), moment.pose[:, 2])

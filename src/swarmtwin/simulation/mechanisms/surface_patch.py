@@ -13,7 +13,15 @@ from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Moment
 
 
 class Config(Mechanism):
-    """On a disc the actuators bring the vehicle less far by `loss`; negative where the grip is better."""
+    """On a disc the actuators bring the vehicle less far by `loss`; negative where the grip is better.
+
+    Attributes:
+        x_mm: of its centre.
+        y_mm: likewise.
+        radius_mm: of it.
+        loss: share of the way.
+        slows: the vehicle, where its place is on the disc, or each wheel that is.
+    """
 
     stage: ClassVar = "ground"
     words: ClassVar = "around x {x_mm}, y {y_mm}, within {radius_mm}, vehicles lose {loss} of their way"
@@ -27,6 +35,12 @@ class Config(Mechanism):
     y_mm: float
     radius_mm: float
     loss: float
+    slows: Literal["vehicle", "wheels"] = "vehicle"
+
+    @classmethod
+    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
+        """Return that which slows the vehicle as a whole, and for wheels that which slows each where it is."""
+        return (cls, cls.with_default("slows", "wheels")) if robot.actuation.kind == "wheel" else (cls,)
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
@@ -68,6 +82,10 @@ class Config(Mechanism):
         inside_mm = self.radius_mm - (position - centre).norm(dim=-1)
         soft_mm = 0.1 * moment.robot.largest_displacement.forward_mm
         return 1.0 - self.loss * (0.5 + inside_mm / soft_mm).clamp(0.0, 1.0)
+
+    def meets_each_wheel(self) -> bool:
+        """Say whether each wheel meets it by itself."""
+        return self.slows == "wheels"
 
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
         """Look at the path in fifths of a period."""

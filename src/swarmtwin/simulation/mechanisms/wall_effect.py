@@ -12,7 +12,13 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):
-    """The nearer the nearest wall, the less far actuators bring the vehicle: 1 − loss · exp(−distance / reach)."""
+    """The nearer the nearest wall, the less far actuators bring the vehicle: 1 − loss · exp(−distance / reach).
+
+    Attributes:
+        loss: share of the way, at the wall.
+        reach_mm: distance over which it falls to a third.
+        slows: the vehicle, by its own distance, or each wheel by that of the wheel.
+    """
 
     stage: ClassVar = "ground"
     words: ClassVar = "near the walls (within {reach_mm}) vehicles lose up to {loss} of their way"
@@ -23,6 +29,12 @@ class Config(Mechanism):
     name: Literal["wall_effect"] = "wall_effect"
     loss: float
     reach_mm: float
+    slows: Literal["vehicle", "wheels"] = "vehicle"
+
+    @classmethod
+    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
+        """Return that which slows the vehicle as a whole, and for wheels that which slows each where it is."""
+        return (cls, cls.with_default("slows", "wheels")) if robot.actuation.kind == "wheel" else (cls,)
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
@@ -30,7 +42,7 @@ class Config(Mechanism):
         least = float(min(conditions.arena_mm.high_mm - conditions.arena_mm.low_mm))
         reaches = tuple(reach * least for reach in (0.04, 0.1, 0.2))
         return {
-            "loss": Parameter(-0.5, 0.98, 0.0, "", (0.2,), 0.01),
+            "loss": Parameter(-0.5, 1.0, 0.0, "", (0.2,), 0.01),
             "reach_mm": Parameter(0.01 * least, 0.5 * least, None, "mm", reaches, 0.005 * least),
         }
 
@@ -38,6 +50,10 @@ class Config(Mechanism):
         """Weaken the drive near the walls."""
         distance_mm = moment.conditions.wall_distance_mm(position)
         return 1.0 - self.loss * torch.exp(-distance_mm / self.reach_mm)
+
+    def meets_each_wheel(self) -> bool:
+        """Say whether each wheel meets it by itself."""
+        return self.slows == "wheels"
 
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
         """Look at the path in fifths of a period."""

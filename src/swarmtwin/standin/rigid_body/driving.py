@@ -55,12 +55,12 @@ def drive_rigid_session(session: StandInSession) -> DrivenSession:
         actives.append(active)
         sent.append(command)
     true = np.stack(states, axis=2)
-    pose = _photographed(session, machine, np.moveaxis(true[:3], 0, -1), streams)
+    pose = photographed(session, machine, np.moveaxis(true[:3], 0, -1), streams)
     return DrivenSession(session, time_s, np.stack(sent, axis=1), pose, np.stack(actives, axis=2), true)
 
 
-def _photographed(session: StandInSession, machine: Machine, pose: np.ndarray, streams: Streams) -> np.ndarray:
-    """Return true poses (R, T + 1, V, 3) as the camera measures them: most well, some badly, some not at all."""
+def photographed(session: StandInSession, machine: Machine, pose: np.ndarray, streams: Streams) -> np.ndarray:
+    """Return true poses (..., V, 3) as the camera measures them: most well, some badly, some not at all."""
     noise = streams.of("camera").standard_normal(pose.shape) * np.array(machine.camera_noise)
     worse = streams.of("bad pictures").random(pose.shape[:-1]) < machine.outlier_share
     measured = session.conditions.seen(pose) + np.where(worse[..., None], machine.outlier_factor, 1.0) * noise

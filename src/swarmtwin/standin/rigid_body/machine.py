@@ -164,13 +164,23 @@ class Machine(ABC):
         settled = self._batch(models)
         settled.bind("qvel")[:, :2] = np.array(self.carrying_mm_s) / 1000
         settled.rollout(self.settling_steps)
+        self._settled = settled.bind("qpos").copy(), settled.bind("qvel").copy()
         self._models = models * runs
         self._vehicles = self._batch(self._models)
         self._shape = (runs, units)
-        position = np.broadcast_to(settled.bind("qpos"), (runs, units, models[0].nq))
-        self._vehicles.bind("qpos")[:] = self.at_pose(pose, position).reshape(runs * units, -1)
-        self._vehicles.bind("qvel")[:] = np.tile(settled.bind("qvel"), (runs, 1))
-        return self._state(np.moveaxis(pose, -1, 0))
+        return self.put_back(np.arange(runs), pose)
+
+    def put_back(self, runs: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Put the vehicles of the runs at indices (n,) down anew, at poses (n, V, 3); the others go on.
+
+        Returns:
+            (states, n, V) as of `put`.
+        """
+        position, velocity = self._joints()
+        settled, moving = self._settled
+        position[runs] = self.at_pose(pose, np.broadcast_to(settled, (len(runs), *settled.shape)))
+        velocity[runs] = moving
+        return self._state_of(position[runs], velocity[runs], np.moveaxis(pose, -1, 0))
 
     def _batch(self, models: Sequence[Any]) -> Any:
         batch = importlib.import_module("mujoco.batch").Batch(models[0], len(models), 1)
@@ -237,9 +247,12 @@ class Machine(ABC):
         Raises:
             ArithmeticError: the engine warns that it lost a vehicle, and no longer moves it.
         """
-        position, velocity = self._joints()
         if self._vehicles.warning.any():
             raise ArithmeticError("the rigid-body engine became unstable: its time step is too long for this body")
+        return self._state_of(*self._joints(), pose_before)
+
+    def _state_of(self, position: np.ndarray, velocity: np.ndarray, pose_before: np.ndarray) -> np.ndarray:
+        """Return the states (states, n, V) of joints (n, V, positions) and (n, V, velocities)."""
         pose = self.pose(position)
         pose[2] = pose_before[2] + wrap_angle(pose[2] - pose_before[2])
         return np.concatenate([pose, np.moveaxis(position, -1, 0), np.moveaxis(velocity, -1, 0)])

@@ -141,10 +141,15 @@ class Swimmer(Machine):
 
     def put(self, pose: np.ndarray) -> np.ndarray:
         """Put them into the water, fins straight."""
-        self._setting = np.zeros((3, *pose.shape[:2]))
-        self._setting[2] = self.resting_command[2]
-        self._phase_rad = np.zeros(pose.shape[:2])
+        self._setting = np.empty((3, *pose.shape[:2]))
+        self._phase_rad = np.empty(pose.shape[:2])
         return super().put(pose)
+
+    def put_back(self, runs: np.ndarray, pose: np.ndarray) -> np.ndarray:
+        """Put them back likewise."""
+        self._setting[:, runs] = np.reshape((0.0, 0.0, self.resting_command[2]), (3, 1, 1))
+        self._phase_rad[runs] = 0.0
+        return super().put_back(runs, pose)
 
     def at_pose(self, pose: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Shift and turn the hull; the fin keeps its angles."""

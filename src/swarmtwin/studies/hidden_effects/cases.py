@@ -13,8 +13,8 @@ from swarmtwin.robot import Positive, Seed, StrictModel
 from swarmtwin.standin.effects import catalogue
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, Sizes
-from swarmtwin.studies.hidden_effects.families import Family, driver_of, has_effect, has_robot
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS
+from swarmtwin.studies.stand_in_families import Family, driver_of, has_effect, has_robot
 
 Kind = Literal["one", "two", "three", "outside", "clean"]
 KINDS: tuple[Kind, ...] = get_args(Kind)

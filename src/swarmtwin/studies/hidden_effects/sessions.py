@@ -18,8 +18,8 @@ from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.clean_sessions import CleanSession, blurred, clean_session
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, rise_percent, size_that_raises
-from swarmtwin.studies.hidden_effects.families import Family, driver_of, session_options
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS, OUTSIDE_PARAMETERS
+from swarmtwin.studies.stand_in_families import Family, driver_of, session_options
 from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import Transitions, from_recording
 

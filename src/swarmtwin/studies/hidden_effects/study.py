@@ -35,7 +35,6 @@ from swarmtwin.studies.hidden_effects.detection_plots import (
     detection_figure,
     parameters_figure,
 )
-from swarmtwin.studies.hidden_effects.families import FAMILIES, Family, driver_of, is_available
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
 from swarmtwin.studies.hidden_effects.results import (
     Result,
@@ -47,6 +46,7 @@ from swarmtwin.studies.hidden_effects.results import (
 )
 from swarmtwin.studies.hidden_effects.scoring import score_case
 from swarmtwin.studies.hidden_effects.tables import study_tables
+from swarmtwin.studies.stand_in_families import chosen_families
 from swarmtwin.tracking.runs import tracked_run
 from swarmtwin.transitions.inputs import as_texts
 
@@ -112,7 +112,7 @@ class Options(StrictModel):
         counts = getattr(self.count, self.scale).model_dump()
         return [
             case
-            for family in self._chosen_families()
+            for family in chosen_families(self.families)
             for kind in self._chosen_kinds()
             for case in cases(family, kind, counts[kind], self.seed, self.robots, **self.lengths.model_dump())
         ]
@@ -131,17 +131,6 @@ class Options(StrictModel):
         if any(job.with_true_model and job.case.family == "rigid_body" for job in jobs):
             load_identification()
         return jobs
-
-    def _chosen_families(self) -> tuple[Family, ...]:
-        if self.families is None:
-            return tuple(family for family in FAMILIES if is_available(family))
-        for family in self.families:
-            if family not in FAMILIES:
-                raise UserError(f"families: no such family: {family!r}: {near_miss(family, FAMILIES)}")
-        chosen = tuple(family for family in FAMILIES if family in self.families)
-        for family in chosen:
-            driver_of(family)
-        return chosen
 
     def _chosen_kinds(self) -> tuple[Kind, ...]:
         for kind in self.kinds:

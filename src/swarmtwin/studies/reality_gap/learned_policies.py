@@ -13,10 +13,10 @@ from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.learned_folder import history_table, origin_of, save_learned
 from swarmtwin.policies.policy_folder import SimulationOrigin, StoredPolicy, load_policy
-from swarmtwin.policies.training import PolicyJob, Schedule, learn_all, task_in
+from swarmtwin.policies.training import PolicyJob, Schedule, SeedResult, learn_all, task_in
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.studies.reality_gap.options import GapOptions
+from swarmtwin.studies.reality_gap.options import GapOptions, LearningOptions
 from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.world.task import Task, task_config
 
@@ -47,12 +47,17 @@ class Learned:
     Attributes:
         policy: the best of all seeds; None where all have failed.
         failed: why there is none.
-        history: the evaluations of all seeds while they learned.
+        seeds: what came of each seed.
     """
 
     policy: StoredPolicy | None
     failed: str | None
-    history: pd.DataFrame
+    seeds: tuple[SeedResult, ...]
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """The evaluations of all seeds while they learned."""
+        return history_table(self.seeds)
 
 
 def load_candidates(options: GapOptions) -> list[Candidate]:
@@ -61,7 +66,7 @@ def load_candidates(options: GapOptions) -> list[Candidate]:
     Raises:
         UserError: one is missing, of another robot, cannot do the task, or has another arena than the first.
     """
-    candidates = [_candidate(name, reference, options) for name, reference in options.simulations.items()]
+    candidates = [load_candidate(name, reference, options) for name, reference in options.simulations.items()]
     first = candidates[0]
     for other in candidates[1:]:
         if other.task.arena != first.task.arena:
@@ -72,7 +77,12 @@ def load_candidates(options: GapOptions) -> list[Candidate]:
     return candidates
 
 
-def _candidate(name: str, reference: str, options: GapOptions) -> Candidate:
+def load_candidate(name: str, reference: str, options: LearningOptions) -> Candidate:
+    """Load one simulation.
+
+    Raises:
+        UserError: it is missing, of another robot, or cannot do the task.
+    """
     folder = model_folder(reference)
     simulation, _ = load_simulation(folder, options.robot)
     task = task_in(folder, options.robot, task_config(options.task, "task"), options.sampled)
@@ -80,7 +90,7 @@ def _candidate(name: str, reference: str, options: GapOptions) -> Candidate:
     return Candidate(name, folder, origin_of(reference, folder), on_device, task)
 
 
-def learn_in(candidate: Candidate, options: GapOptions, output: Path) -> Learned:
+def learn_in(candidate: Candidate, options: LearningOptions, output: Path) -> Learned:
     """Learn a policy with all seeds, going on from the checkpoints in `output`, and save the best in `policies/` there.
 
     Where all seeds have failed there is no policy: a simulation in which nothing can be learned is a result.
@@ -90,14 +100,13 @@ def learn_in(candidate: Candidate, options: GapOptions, output: Path) -> Learned
     with training_bars(
         f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}", algorithm.steps
     ) as report:
-        results = learn_all(jobs, report)
-    history = history_table(results)
+        results = tuple(learn_all(jobs, report))
     if all(result.failed for result in results):
-        return Learned(None, "; ".join(f"seed {result.seed}: {result.failed}" for result in results), history)
+        return Learned(None, "; ".join(f"seed {result.seed}: {result.failed}" for result in results), results)
     folder = output / "policies" / candidate.name
     folder.mkdir(parents=True)
     save_learned(folder, candidate.task, jobs[0], results, candidate.origin)
-    return Learned(load_policy(folder, options.robot), None, history)
+    return Learned(load_policy(folder, options.robot), None, results)
 
 
 def learning_table(learned: Mapping[str, Learned]) -> pd.DataFrame:
@@ -105,7 +114,9 @@ def learning_table(learned: Mapping[str, Learned]) -> pd.DataFrame:
     return pd.concat([one.history.assign(simulation=name) for name, one in learned.items()])
 
 
-def _jobs(candidate: Candidate, options: GapOptions, algorithm: AlgorithmConfig, checkpoints: Path) -> list[PolicyJob]:
+def _jobs(
+    candidate: Candidate, options: LearningOptions, algorithm: AlgorithmConfig, checkpoints: Path
+) -> list[PolicyJob]:
     schedule = Schedule(steps=algorithm.steps, evaluate_every=options.evaluate_every, scenes=options.scenes)
     first = PolicyJob(
         robot=options.robot,

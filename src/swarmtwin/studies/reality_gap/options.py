@@ -42,15 +42,12 @@ class PublishedRow(StrictModel):
     success: float | None = None
 
 
-class GapOptions(StrictModel):
-    """Options; their defaults stand in conf/experiment/table5.yaml and table6.yaml."""
+class LearningOptions(StrictModel):
+    """How policies are learned in simulations that are compared; what each option is stands in table5.yaml."""
 
     robot: Robot
     task: dict[str, Any]
     policy: dict[str, Any]
-    simulations: Annotated[dict[Name, str], Field(min_length=1)]
-    stand_ins: Annotated[dict[Name, StandIns], Field(min_length=1)]
-    rollouts: Count
     evaluate_every: Count
     scenes: Count
     sampled: bool | None
@@ -59,6 +56,14 @@ class GapOptions(StrictModel):
     device: Device
     seed: Seed
     seeds: Count
+
+
+class GapOptions(LearningOptions):
+    """Options; their defaults stand in conf/experiment/table5.yaml and table6.yaml."""
+
+    simulations: Annotated[dict[Name, str], Field(min_length=1)]
+    stand_ins: Annotated[dict[Name, StandIns], Field(min_length=1)]
+    rollouts: Count
     open_loop: Path | None
     published: dict[str, dict[Name, PublishedRow]]
     figures: dict[str, dict[Show, Name]]

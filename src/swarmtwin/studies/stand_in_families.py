@@ -1,15 +1,16 @@
 """Families of stand-ins: bodies of physics that share no formula, so that a diagnosis cannot know them by heart."""
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from typing import Any, Literal, get_args
 
 from swarmtwin.configuration import config_folder
-from swarmtwin.errors import UserError
+from swarmtwin.errors import UserError, near_miss
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.effects import parse_effects
+from swarmtwin.standin.live import LiveStandIns, LiveVehicles
 from swarmtwin.standin.session import DrivenSession, StandInSession, drive_session
 
 Family = Literal["formulas", "unruly", "rigid_body"]
@@ -40,13 +41,42 @@ def driver_of(family: Family) -> Callable[[StandInSession], DrivenSession]:
     return driver
 
 
-def _rigid_body() -> Any:
+def live_vehicles_of(family: Family) -> type[LiveStandIns]:
+    """Return what drives vehicles of a family live.
+
+    Raises:
+        UserError: the engine of `rigid_body` is not there.
+    """
+    if family != "rigid_body":
+        return LiveVehicles
+    live: type[LiveStandIns] = _rigid_body("live").LiveRigidVehicles
+    return live
+
+
+def chosen_families(asked: Sequence[str] | None) -> tuple[Family, ...]:
+    """Return the families that are asked for, in their order; None: all whose engine is installed.
+
+    Raises:
+        UserError: there is no such family, or its engine is missing.
+    """
+    if asked is None:
+        return tuple(family for family in FAMILIES if is_available(family))
+    for name in asked:
+        if name not in FAMILIES:
+            raise UserError(f"families: no such family: {name!r}: {near_miss(name, FAMILIES)}")
+    chosen = tuple(family for family in FAMILIES if family in asked)
+    for family in chosen:
+        driver_of(family)
+    return chosen
+
+
+def _rigid_body(module: str = "driving") -> Any:
     name = "swarmtwin.standin.rigid_body"
     if find_spec(name) is None:
         raise UserError("family 'rigid_body': this version's stand-ins have no rigid-body engine: leave the family out")
     if find_spec("mujoco") is None:
         raise UserError("family 'rigid_body' needs MuJoCo: pip install 'mujoco>=4.0.0,<5', or leave the family out")
-    return importlib.import_module(f"{name}.driving")
+    return importlib.import_module(f"{name}.{module}")
 
 
 def is_available(family: Family) -> bool:

@@ -1,0 +1,83 @@
+"""Actuators that follow gradually, each axis with a lag of its own: against steps so fine that order is all there."""
+
+import numpy as np
+import pytest
+import torch
+
+from exact_model import ExactDynamics, conditions_of, simulation_with, situation_of
+from swarmtwin.geometry import compose, exp_map, log_map
+from swarmtwin.simulation.actuation import with_actuation
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.following_actuators import _relaxed_twist, left_over
+
+
+@pytest.mark.parametrize("lags", [(0.1, 0.1, 0.1), (0.4, 0.05, 0.2), (0.4, 0.0, 0.0), (0.0, 0.3, 0.6)])
+@pytest.mark.parametrize("share", [1.0, 0.4])
+def test_a_twist_that_relaxes_axis_by_axis_leads_where_fine_steps_do(lags, share):
+    rng = torch.Generator().manual_seed(0)
+    size = torch.tensor([40.0, 10.0, 0.5], dtype=torch.float64)
+    start, target = (torch.randn(5, 3, generator=rng, dtype=torch.float64) * size for _ in range(2))
+    mean, end = _relaxed_twist(start, target, share, lags, 0.03)
+    lag, pieces = torch.tensor(lags, dtype=torch.float64) + 0.03, 2000
+    exact = torch.zeros(5, 3, dtype=torch.float64)
+    for piece in range(pieces):
+        left = torch.exp(-(piece + 0.5) / pieces * share / lag)
+        exact = compose(exact, exp_map((target + (start - target) * left) * share / pieces))
+    torch.testing.assert_close(end, target + (start - target) * torch.exp(-share / lag))
+    plain = target + (start - target) * (lag / share * (1 - torch.exp(-share / lag)))
+    error_mm, plain_mm = ((exp_map(one * share) - exact)[:, :2].abs().max() for one in (mean, plain))
+    assert error_mm < 0.1
+    assert error_mm < plain_mm / 10  # what comes first matters, and is what is left of it to second order
+
+
+class HullOfUnlikeAxes(ExactDynamics):
+    """A fin whose hull turns at once, and gathers way slowly."""
+
+    inputs = ("command", "previous_command")
+    lags = (0.4, 0.2, 0.0)
+
+    def predict(self, situation):
+        new, old = (self.twist(one.double()) for one in (situation.command, situation.previous_command))
+        left = torch.tensor([left_over(1.0, lag)[0] for lag in self.lags], dtype=torch.float64)
+        return exp_map(new + left * (old - new))
+
+
+def test_the_lag_of_each_axis_of_thrust_is_read_from_the_model(robots):
+    robot = robots["mur"]
+    conditions = with_actuation(conditions_of(robot), HullOfUnlikeAxes(robot), seed=1)
+    assert conditions.own_lags == pytest.approx(HullOfUnlikeAxes.lags, abs=1e-6)
+
+
+class KickedHull(ExactDynamics):
+    """A fin whose turn to another angle kicks the hull round at once, whatever it does afterwards."""
+
+    inputs = ("command", "previous_command")
+    kick = 0.3
+
+    def predict(self, situation):
+        new, old = (self.twist(one.double()) for one in (situation.command, situation.previous_command))
+        return exp_map(new + self.kick * (new - old) * torch.tensor([0.0, 0.0, 1.0]))
+
+
+def test_what_a_change_of_command_does_at_once_a_late_one_does_late(robots):
+    """Half a period late: first the old motion, then the new one with all of the kick."""
+    robot = robots["mur"]
+    held = situation_of(robot, np.random.default_rng(7), count=40).previous_command
+    changes = {"previous_command": held, "earlier_command": held}
+    situation = situation_of(robot, np.random.default_rng(7), count=40, **changes)
+    base = KickedHull(robot)
+    simulation = simulation_with(robot, base, conditions_of(robot), command_delay={"delay_s": robot.period_s / 2})
+    old, new = base.twist(situation.previous_command), base.twist(situation.command)
+    kicked = new / 2 + base.kick * (new - old) * torch.tensor([0.0, 0.0, 1.0])
+    torch.testing.assert_close(
+        log_map(simulation.predict(situation)),
+        log_map(compose(exp_map(old / 2), exp_map(kicked))),
+        rtol=1e-5,
+        atol=1e-6,
+    )
+
+
+def test_conditions_of_earlier_versions_had_one_lag(robots):
+    arena = robots["mur"].arena_mm
+    conditions = SessionConditions.parse({"arena_mm": arena, "session_s": 10.0, "own_lag": 0.2}, "model.yaml")
+    assert conditions.own_lags == (0.2, 0.2, 0.2)
