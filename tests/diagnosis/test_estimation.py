@@ -39,6 +39,11 @@ def understood(model, start):
     return estimate(model.explained_by(first.mechanisms), first.mechanisms)
 
 
+def of_form(share):
+    """Settings by which a mechanism's form is wrong by a share of its effect, for its interval as well."""
+    return DiagnosisSettings.parse({"likelihood": {"form": share}, "estimation": {"form": share}}, "here")
+
+
 def stretched(scale):
     return lambda pose: torch.cat([MIDDLE_MM + scale * (pose[:, :2] - MIDDLE_MM), pose[:, 2:]], dim=-1)
 
@@ -69,7 +74,8 @@ LARGEST_ERROR = {
 def test_a_planted_parameter_is_recovered_within_its_standard_errors(robots, name):
     planted, begun, happening = PLANTED[name]
     base = ExactBase(robots["mgr"])
-    model = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(21), **happening))
+    session = session_of(base, np.random.default_rng(21), **happening)
+    model = SessionLikelihood(base, known_noise(), session, settings=of_form(0.05))
     found = understood(model, [mechanism_class(name).at(begun)])
     error = np.sqrt(np.diag(found.covariance))
     wanted = np.array(list(planted.values()))
@@ -238,7 +244,7 @@ def test_draws_spread_as_the_covariance_says(robots):
 
 def drift_error(robot, runs, form):
     base = ExactBase(robot)
-    settings = DiagnosisSettings.parse({"likelihood": {"form": form}}, "here")
+    settings = of_form(form)
     session = session_of(base, np.random.default_rng(25), drifted(1.0, 0.0), runs=runs)
     model = SessionLikelihood(base, known_noise(), session, settings=settings)
     found = estimate(model, [mechanism_class("steady_drift").at({"x_mm_s": 1.0, "y_mm_s": 0.0})])

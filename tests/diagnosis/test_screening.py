@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-
 from exact_base import ExactBase, known_noise, session_of
+
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.screening import candidates
 from swarmtwin.geometry import exp_map

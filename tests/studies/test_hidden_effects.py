@@ -29,6 +29,11 @@ def formulas(results):
     return summarise(results)["families"]["formulas"]
 
 
+def named(proportions):
+    """Counts of all sessions, whichever vehicle drove."""
+    return {name: share.count for name, share in proportions.items() if name != "exact_of_known_vehicle"}
+
+
 def test_planted_names_give_planted_rates():
     results = [
         *[result("one", "gain_change", ["gain_change"])] * 7,
@@ -38,12 +43,12 @@ def test_planted_names_give_planted_rates():
         result("one", "command_delay", verdict="unexplained", rise=1.0),
     ]
     summary = formulas(results)
-    counts = {name: share.count for name, share in summary["one"][CLEAR].items()}
+    counts = named(summary["one"][CLEAR])
     assert counts == {"exact": 7, "found": 10, "named_first": 7, "listed": 8, "falsely_named": 3}
     assert summary["one"][CLEAR]["found"].total == 10
-    middle = {name: share.count for name, share in summary["one"]["3 to 10 %"].items()}
+    middle = named(summary["one"]["3 to 10 %"])
     assert middle == {"exact": 0, "found": 1, "named_first": 1, "listed": 1, "falsely_named": 1}
-    faint = {name: share.count for name, share in summary["one"]["below 3 %"].items()}
+    faint = named(summary["one"]["below 3 %"])
     assert faint == {"exact": 0, "found": 1, "named_first": 0, "listed": 0, "falsely_named": 0}
     assert summary["mechanisms"]["gain_change"]["exact"][CLEAR].share == pytest.approx(0.7)
     assert summary["mechanisms"]["command_delay"]["exact"]["3 to 10 %"].count == 0
@@ -61,6 +66,14 @@ def test_families_are_counted_by_themselves():
     assert (families["unruly"]["one"][CLEAR]["exact"].count, families["unruly"]["clean"]["accused"].count) == (0, 1)
     text = next(study_tables(summarise(results))).markdown()
     assert "| one cause, error up by ≥ 10 %: it and nothing else | 3/3 (43.9–100.0 %) | 0/2 (0.0–65.8 %) |" in text
+
+
+def test_sessions_of_the_vehicle_that_was_learned_from_are_counted_apart():
+    right, wrong = result("one", "gain_change", ["gain_change"]), result("one", "gain_change")
+    results = [*[right] * 3, wrong, *[wrong.model_copy(update={"same_vehicle": False})] * 4]
+    clear = formulas(results)["one"][CLEAR]
+    assert (clear["exact"].count, clear["exact"].total) == (3, 8)
+    assert (clear["exact_of_known_vehicle"].count, clear["exact_of_known_vehicle"].total) == (3, 4)
 
 
 def test_confidences_that_are_right_as_often_as_they_say_have_no_calibration_error():
@@ -100,7 +113,7 @@ def test_two_at_once_must_be_exactly_these():
         result("two", pair, ["dead_band", "marker_yaw", "noise_change"]),
         result("two", pair, ["saturation", "marker_yaw"], rivals=("dead_band",)),
     ]
-    counts = {name: share.count for name, share in formulas(results)["two"].items()}
+    counts = named(formulas(results)["two"])
     assert counts == {"exact": 1, "found": 4, "named_first": 3, "listed": 3, "falsely_named": 2}
     assert formulas(results)["three"]["exact"].share is None
 

@@ -23,6 +23,8 @@ class EstimatedSet:
         naive: (P, P) their covariance if runs were as independent as the likelihood has it, and nothing else unknown.
         evidence: log marginal likelihood, nats: parameters integrated out by Laplace's method, prior uniform in bounds.
         resampled: (P,) standard deviations of the values over resampled runs, where that was looked at.
+        by_member: (P, M) what the simulation's M members, each with its own answers in the place of their mean, would
+            move the values by, as a jackknife has it; M is 0 where that was not looked at.
     """
 
     fitted: FittedMechanisms
@@ -32,6 +34,7 @@ class EstimatedSet:
     naive: np.ndarray
     evidence: float
     resampled: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    by_member: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def mechanisms(self) -> tuple[Mechanism, ...]:
@@ -45,7 +48,10 @@ class EstimatedSet:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance (P, P); wider where runs differ more than the likelihood expects (a sandwich)."""
+        """Posterior covariance (P, P); wider where runs differ more than the likelihood expects (a sandwich).
+
+        To it adds what the simulation gets wrong for want of data (`by_member`): that is the same in all runs.
+        """
         posterior = np.linalg.inv(self.information)
         runs = len(self.by_run)
         if runs < 2 or not len(self.values):
@@ -55,7 +61,7 @@ class EstimatedSet:
         if len(self.resampled):
             wider = np.maximum(wider, self.resampled / np.sqrt(np.diag(posterior)))
         covariance: np.ndarray = posterior * np.outer(wider, wider)
-        return covariance
+        return covariance + self.by_member @ self.by_member.T if self.by_member.size else covariance
 
     def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Draw (count, P) values from the posterior."""
@@ -89,6 +95,25 @@ def estimate(
     return search.estimated(values)
 
 
+def with_uncertain_simulation(model: SessionLikelihood, found: EstimatedSet) -> EstimatedSet:
+    """Return a set that also knows how uncertain its values are since the simulation is.
+
+    The simulation was learned from so many runs. Its members have seen different ones, and the values follow what each
+    of them answers (the delete-a-group jackknife). How members disagree is a random effect of the session as well, but
+    there it takes away only these very directions, and the simulation's own error is another one of their kind: so the
+    values are moved here as if that were not known.
+    """
+    kinds = found.fitted.kinds
+    if model.members < 2 or not len(found.values) or loses_commands(kinds):
+        return found
+    search, directions = _Search(model, kinds), model.disagreement_with(found.mechanisms)
+    slopes = search.slopes(found.values, found.fitted.whitened.ravel())
+    gram = model.effects_of_certain_simulation.gram(np.column_stack([slopes, directions]))
+    count = len(found.values)
+    moved = np.linalg.solve(gram[:count, :count] + search.prior_precision, gram[:count, count:])
+    return replace(found, by_member=moved)
+
+
 class _Search:
     """The parameters of kinds of mechanisms, and what a session says of them."""
 
@@ -113,12 +138,13 @@ class _Search:
 
     def slopes(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Return (3 N, P) how whitened errors change with the parameters."""
-        columns = []
+        columns, near = [], self.at(values)
         for index in range(len(values)):
             moved = values.copy()
             inside = values[index] + self.step[index] <= self.high[index]
             moved[index] += self.step[index] if inside else -self.step[index]
-            columns.append((self.whitened(moved) - here) / (moved[index] - values[index]))
+            changed = self.model.whitened_near(self.at(moved), near).ravel()
+            columns.append((changed - here) / (moved[index] - values[index]))
         return np.stack(columns, axis=-1)
 
     def by_least_squares(self, values: np.ndarray) -> np.ndarray:

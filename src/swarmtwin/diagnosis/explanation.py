@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
-from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
+from swarmtwin.diagnosis.estimation import EstimatedSet, estimate, with_uncertain_simulation
 from swarmtwin.diagnosis.left_over import LeftOver, Usual, left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
@@ -65,11 +65,13 @@ class Explanation:
 
     @property
     def _is_at_an_end(self) -> bool:
-        """Whether a parameter is at an end of its range where it does something: beyond it may fit better."""
+        """Whether a parameter is at an end of its range where the cause does something: beyond it may fit better."""
         nearest = self.model.settings.verdict.nearest_end
         kinds = [type(one) for one in self.best.mechanisms]
         for value, (_, _, parameter) in zip(self.best.values, self.model.parameters(kinds), strict=True):
-            ends = (end for end in (parameter.low, parameter.high) if parameter.null_value not in (None, end))
+            if not parameter.is_doubted_at_ends:
+                continue
+            ends = (end for end in (parameter.low, parameter.high) if parameter.null_value != end)
             if any(abs(value - end) < nearest * parameter.size for end in ends):
                 return True
         return False
@@ -129,7 +131,7 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
     """
     usual = usual or Usual()
     refined = model.explained_by(posterior.best.mechanisms)
-    best = estimate(refined, posterior.best.mechanisms, polish=True, smooth=True)
+    best = with_uncertain_simulation(refined, estimate(refined, posterior.best.mechanisms, polish=True, smooth=True))
     gained = best.fitted.total - refined.evaluate([]).total
     noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
     return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise)

@@ -23,7 +23,7 @@ from swarmtwin.diagnosis.random_effects import (
     unit_effects_of_outcomes,
 )
 from swarmtwin.diagnosis.session_errors import SessionErrors
-from swarmtwin.diagnosis.session_prediction import arrival_probability
+from swarmtwin.diagnosis.session_prediction import SessionPredictor, arrival_probability
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
@@ -125,10 +125,22 @@ class SessionLikelihood(SessionErrors):
     @cached_property
     def effects(self) -> RandomEffects:
         """Random effects without any mechanism: of units first."""
+        return self._own_effects(self.disagreement)
+
+    @cached_property
+    def effects_of_certain_simulation(self) -> RandomEffects:
+        """Likewise, but for how the simulation's members disagree."""
+        return self._own_effects(self.disagreement[..., :0])
+
+    def _own_effects(self, disagreement: np.ndarray) -> RandomEffects:
         units = [one[..., None] for one in unit_effects(self)]
-        together = np.concatenate([*units, self.disagreement], axis=-1)
+        together = np.concatenate([*units, disagreement], axis=-1)
         own = RandomEffects.of(self._whitened(together), self.weight)
         return own.extended(self._whitened(self.discrepancy[1]))
+
+    def disagreement_with(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return (3 N, M) how the simulation's M members disagree with mechanisms in place, whitened."""
+        return self._whitened(member_disagreement(self, arriving(mechanisms)))
 
     @cached_property
     def _unit_effects_where_lost(self) -> np.ndarray:
@@ -139,6 +151,24 @@ class SessionLikelihood(SessionErrors):
     def whitened(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return the errors (N, 3) with mechanisms, independent and of unit variance, where every command arrives."""
         return self.filter(self.errors(mechanisms)[..., None])[..., 0]
+
+    def whitened_near(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism]) -> np.ndarray:
+        """Return likewise (N, 3), nearly, as `errors_near`."""
+        return self.filter(self.errors_near(mechanisms, near)[..., None])[..., 0]
+
+    def errors_near(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism]) -> np.ndarray:
+        """Return the errors (N, 3) with mechanisms, nearly: one member says by how much they differ from others `near`.
+
+        Members agree in that but for a small share of the change, and to ask one of them takes a fraction of the time.
+        """
+        if self.members < 2:
+            return self.errors(mechanisms)
+        change = self._one_member.twist(mechanisms) - self._one_member.twist(near)
+        return self.errors_of(self.predictor.twist(near) + change)
+
+    @cached_property
+    def _one_member(self) -> SessionPredictor:
+        return self.predictor.with_member(0)
 
     def effects_with(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
         """Return the random effects, and those of the form of mechanisms.
@@ -156,8 +186,11 @@ class SessionLikelihood(SessionErrors):
         return self.effects.extended(across - along @ share)
 
     def effects_with_any_form(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
-        """Return the random effects with forms that may look like another value of a parameter: for its interval."""
-        forms = self._forms(mechanisms)
+        """Return the random effects with forms that may look like another value of a parameter: for its interval.
+
+        There they are larger: an interval must hold the truth, while a cause must not be taken for another one's form.
+        """
+        forms = self._forms(mechanisms) * (self.settings.estimation.form / self.settings.likelihood.form)
         return self.effects.extended(self._whitened(forms)) if forms.shape[-1] else self.effects
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
@@ -178,7 +211,7 @@ class SessionLikelihood(SessionErrors):
             moved = values.copy()
             step = parameter.response_step
             moved[index] += step if values[index] + step <= parameter.high else -step
-            change = self.errors(self.assembled(kinds, moved)) - here
+            change = self.errors_near(self.assembled(kinds, moved), mechanisms) - here
             columns.append(change / (moved[index] - values[index]))
         return np.stack(columns, axis=-1) if columns else np.zeros((*here.shape, 0))
 
@@ -255,6 +288,7 @@ class SessionLikelihood(SessionErrors):
             mechanisms,
         )
         other.predictor, other.flexible = self.predictor, self.flexible
+        other._one_member = self._one_member
         other.discrepancy, other.disagreement = self.discrepancy, self.disagreement
         return other
 

@@ -98,7 +98,7 @@ def local_traction_score(model: SessionLikelihood, fitted: FittedMechanisms, ste
     """Return where the traction seems to be another one than fitted mechanisms say, by a small loss everywhere."""
     others = arriving(fitted.mechanisms)
     weaker = [*others, gain_change.Config.at({"gain": 1 - step})]
-    response = (model.whitened(weaker) - model.whitened(others)) / step
+    response = (model.whitened_near(weaker, others) - model.whitened(others)) / step
     response[fitted.is_lost] = 0.0
     session = model.session
     middle = compose(model.predictor.moment().pose, exp_map(session.twist / 2))[:, :2].numpy()
@@ -134,9 +134,9 @@ def _candidate(
     nulls = {key: one.null_value for key, one in parameters.items() if one.null_value is not None}
     moved = {key: _off_null(parameters[key], start[key]) for key in nulls}
     probes: list[dict[str, float]] = [{**nulls, key: value} for key, value in moved.items()]
-    responses = []
+    responses, others = [], arriving(beside.mechanisms)
     for probe in probes or [{}]:
-        change = model.whitened([*arriving(beside.mechanisms), kind.at({**begun, **probe})]) - here
+        change = model.whitened_near([*others, kind.at({**begun, **probe})], others) - here
         change[beside.is_lost] = 0.0
         responses.append(change.ravel())
     columns = np.stack(responses, axis=-1)
@@ -153,7 +153,7 @@ def _candidate(
     ahead = (*beside.mechanisms, kind.at(values))
     if len(moved) == 1:  # what it does need not grow in proportion: where it was looked at may be better
         there = {**begun, **moved}
-        error = model.whitened(arriving(ahead))
+        error = model.whitened_near(arriving(ahead), others)
         error[beside.is_lost] = 0.0
         losses = [model.effects.loss(one.ravel()) / 2 for one in (here, error)]
         attained, on_grid = losses[0] - losses[1], float(side[0] - gram[0, 0] / 2)

@@ -22,7 +22,7 @@ from swarmtwin.learning.situation import Situation
 from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.ensemble_dynamics import OneMember
+from swarmtwin.simulation.ensemble_dynamics import one_member
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import FOLLOWING, SETTING, end_memory, period_motion, remembered_after_two
@@ -72,7 +72,8 @@ class SessionPredictor:
 
     def with_member(self, member: int) -> "SessionPredictor":
         """Return it with one member of the base in the place of the mean of all."""
-        return SessionPredictor(OneMember(self.base, member), self.conditions, self.situation, self.follows, self.sent)  # type: ignore[arg-type]
+        base = one_member(self.base, member)  # type: ignore[arg-type]
+        return SessionPredictor(base, self.conditions, self.situation, self.follows, self.sent)
 
     def moment(self) -> Moment:
         """Return the situations as mechanisms see them, at their measured poses."""

@@ -153,6 +153,8 @@ class EstimationSettings(StrictModel):
         draws: of the parameters for their intervals.
         clock_bootstraps: resamples of the runs for what is read off the clock.
         interval: probability that an interval holds.
+        form: as `likelihood.form`, for intervals: a form that is wrong by a seventh of its effect, whose square is
+            `search.least_share_beside`.
     """
 
     rounds: Count = 8
@@ -164,6 +166,7 @@ class EstimationSettings(StrictModel):
     draws: Count = 1000
     clock_bootstraps: Count = 200
     interval: Share = 0.95
+    form: Positive = 0.14
 
 
 class SearchSettings(StrictModel):

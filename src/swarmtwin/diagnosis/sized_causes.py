@@ -75,7 +75,9 @@ class Surroundings:
 
     def change(self, mechanism: Mechanism) -> np.ndarray:
         """Return (3 N,) by what a mechanism changes whitened errors."""
-        changed: np.ndarray = (self.model.whitened([*self.arriving, mechanism]) - self._here).ravel()
+        changed: np.ndarray = (
+            self.model.whitened_near([*self.arriving, mechanism], self.arriving) - self._here
+        ).ravel()
         return changed
 
     def gram(self, columns: np.ndarray) -> np.ndarray:
@@ -98,12 +100,13 @@ class Surroundings:
         model, chosen = self.model, list(added) or self.arriving
         around = self.arriving if added else []
         kinds = [type(one) for one in chosen]
-        values, here = model.values(chosen), model.whitened([*around, *chosen]) if added else self._here
+        values, near = model.values(chosen), [*around, *chosen]
+        here = model.whitened(near) if added else self._here
         columns, precision = [], []
         for index, (_, _, parameter) in enumerate(model.parameters(kinds)):
             moved, step = values.copy(), parameter.response_step
             moved[index] += step if values[index] + step <= parameter.high else -step
-            changed = model.whitened([*around, *model.assembled(kinds, moved)]) - here
+            changed = model.whitened_near([*around, *model.assembled(kinds, moved)], near) - here
             columns.append(changed.ravel() / (moved[index] - values[index]))
             precision.append(12 / parameter.size**2)
         together = np.stack(columns, axis=-1) if columns else np.zeros((here.size, 0))

@@ -195,7 +195,18 @@ class OneMember(DynamicsModule):
 
     def predict(self, situation: Situation) -> Tensor:
         """Return the member's expected displacements (N, 3), float64."""
-        return exp_map(self.base.twist(situation, self.member))
+        return exp_map(self.twist(situation))
+
+    def twist(self, situation: Situation, member: int | None = None) -> Tensor:
+        """Return its twists (N, 3), float64, over a nominal period, whichever member is asked for."""
+        return self.base.twist(situation, self.member)
+
+
+def one_member(base: BaseDynamics, member: int) -> DynamicsModule:
+    """Return a base with one member's answer in the place of the mean of all; the model that it corrects stays."""
+    if isinstance(base, CorrectedDynamics) and base.correction:
+        return CorrectedDynamics(base.dynamics, OneMember(base.correction, member))  # type: ignore[arg-type]
+    return OneMember(base, member)
 
 
 class CrossFitted(DynamicsModule):

@@ -48,10 +48,11 @@ class Config(Mechanism):
         arena = conditions.arena_mm
         width, height = (float(size) for size in arena.high_mm - arena.low_mm)
         least = min(width, height)
+        step_mm = 0.02 * least
         return {
-            "x_mm": Parameter(arena.x[0], arena.x[1], None, "mm", (arena.x[0] + width / 2,), 0.02 * least),
-            "y_mm": Parameter(arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), 0.02 * least),
-            "radius_mm": Parameter(0.05 * least, 0.45 * least, None, "mm", (0.22 * least,), 0.02 * least),
+            "x_mm": Parameter(arena.x[0], arena.x[1], None, "mm", (arena.x[0] + width / 2,), step_mm, False),
+            "y_mm": Parameter(arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), step_mm, False),
+            "radius_mm": Parameter(0.05 * least, 0.45 * least, None, "mm", (0.22 * least,), step_mm),
             "loss": Parameter(-0.6, 0.97, 0.0, "", (0.2,), 0.01),
         }
 

@@ -77,6 +77,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
     Each family by itself, `families`:
         one: by how much the effect raises the error, and two, three: sessions in which
             exact: the causes named are the true ones and no others.
+            exact_of_known_vehicle: likewise, of sessions of the vehicle that the simulation was learned from: of
+                another one nobody can tell an effect from what units differ in by fabrication, if it is as small.
             found: something was said to be wrong.
             named_first: the first cause named is a true one.
             listed: all true causes are named, or rivals of those named.
@@ -136,7 +138,7 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "cases": len(table),
         "failed": Proportion.of(table.verdict == "failed"),
         "one": _naming_by_rise(one),
-        **{kind: _proportions(table[table.kind == kind], NAMING) for kind in ("two", "three")},
+        **{kind: _naming(table[table.kind == kind]) for kind in ("two", "three")},
         "outside": _silence(outside),
         "clean": _proportions(clean, ALARMS),
         "mechanisms": {name: _mechanism(name, one, parameters) for name in one.about.unique()},
@@ -214,8 +216,13 @@ def _proportions(table: pd.DataFrame, columns: Iterable[str]) -> Proportions:
     return {column: Proportion.of(table[column]) for column in columns}
 
 
+def _naming(table: pd.DataFrame) -> Proportions:
+    known = Proportion.of(table.exact[table.same_vehicle.astype(bool)])
+    return {**_proportions(table, NAMING), "exact_of_known_vehicle": known}
+
+
 def _naming_by_rise(table: pd.DataFrame) -> dict[str, Proportions]:
-    return {name: _proportions(table[in_rise_bin(table, name)], NAMING) for name in RISE_BINS}
+    return {name: _naming(table[in_rise_bin(table, name)]) for name in RISE_BINS}
 
 
 def _precision(parameters: pd.DataFrame) -> dict[str, Any]:

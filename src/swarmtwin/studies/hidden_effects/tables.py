@@ -86,16 +86,21 @@ def _true_model_table(summary: dict[str, Any]) -> StudyTable:
 def _marks_table(summary: dict[str, Any]) -> StudyTable:
     """Return the figures that matter, each family in a column, shares with 95 % intervals, beside the mark set."""
     families: Families = summary["families"]
+    of_known = "  of these, the vehicle that was learned from"
     rows: list[tuple[str, str, Callable[[dict[str, Any]], str]]] = [
         ("sessions", "", lambda own: str(own["cases"])),
         ("one cause, error up by ≥ 10 %: it and nothing else", "≥ 99 %", lambda own: _told(own["one"][CLEAR]["exact"])),
         ("  alarm", "", lambda own: _told(own["one"][CLEAR]["found"])),
+        (of_known, "", lambda own: _told(own["one"][CLEAR]["exact_of_known_vehicle"])),
         ("  a cause named that is not there", "", lambda own: _told(own["one"][CLEAR]["falsely_named"])),
         ("one cause, 3 to 10 %: it and nothing else", "≥ 90 %", lambda own: _told(own["one"][MIDDLE]["exact"])),
+        (of_known, "", lambda own: _told(own["one"][MIDDLE]["exact_of_known_vehicle"])),
         ("  a cause named that is not there", "", lambda own: _told(own["one"][MIDDLE]["falsely_named"])),
         ("two causes: both and nothing else", "≥ 95 %", lambda own: _told(own["two"]["exact"])),
+        (of_known, "", lambda own: _told(own["two"]["exact_of_known_vehicle"])),
         ("  a cause named that is not there", "", lambda own: _told(own["two"]["falsely_named"])),
         ("three causes: all and nothing else", "≥ 80 %", lambda own: _told(own["three"]["exact"])),
+        (of_known, "", lambda own: _told(own["three"]["exact_of_known_vehicle"])),
         ("  a cause named that is not there", "", lambda own: _told(own["three"]["falsely_named"])),
         ("in no catalogue: no cause named", "≥ 98 %", lambda own: _told(own["outside"]["not_named"])),
         ("  alarm where the error is up by ≥ 10 %", "≥ 95 %", lambda own: _told(own["outside"]["costly_found"])),

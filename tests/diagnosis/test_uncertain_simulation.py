@@ -1,0 +1,96 @@
+"""A simulation of several members: one stands for what they agree in, and where they do not, values are uncertain."""
+
+import numpy as np
+import pytest
+import torch
+from exact_base import ExactBase, known_noise, session_of
+
+from exact_model import ExactDynamics
+from swarmtwin.diagnosis.estimation import estimate, with_uncertain_simulation
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.dynamics.predictor import DynamicsModule
+from swarmtwin.geometry import exp_map
+from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics
+from swarmtwin.simulation.mechanism import mechanism_class
+
+MEMBERS = 6
+
+
+class Disagreeing(DynamicsModule):
+    """Members that each know the way but for a factor on it, and the bow in which wheels' speeds level off."""
+
+    inputs, members = ("command",), MEMBERS
+
+    def __init__(self, robot, gains, bows=(0.0,) * MEMBERS):
+        super().__init__()
+        self.robot, self.gains, self.bows = robot, gains, bows
+
+    def member_twists(self, situation):
+        command = situation.command.double()
+        effort = command / torch.as_tensor(self.robot.command_high)
+        way = ExactDynamics(self.robot).twist(command)
+        bent = ExactDynamics(self.robot).twist(command * effort**2)
+        return torch.stack([way * gain + bow * bent for gain, bow in zip(self.gains, self.bows, strict=True)])
+
+    def twist(self, situation, member=None):
+        twists = self.member_twists(situation)
+        return twists.mean(dim=0) if member is None else twists[member]
+
+    def predict(self, situation):
+        return exp_map(self.twist(situation))
+
+
+class Corrected(CorrectedDynamics):
+    """A trained model without a mistake, and members' corrections of it."""
+
+    def __init__(self, robot, gains):
+        DynamicsModule.__init__(self)
+        self.robot, self.inputs = robot, ("command",)
+        self.dynamics, self.correction = ExactDynamics(robot), Disagreeing(robot, gains)
+
+
+def session(robot, seed, gain):
+    return session_of(
+        ExactBase(robot), np.random.default_rng(seed), moved=lambda moment: exp_map(moment.way * gain), runs=40
+    )
+
+
+@pytest.mark.parametrize("gain", [0.9, 1.1])
+def test_values_are_as_uncertain_as_members_disagree(robots, gain):
+    """Learned anew, a simulation whose gain varies by 1 % makes that of a later session vary by as much."""
+    rng = np.random.default_rng(5)
+    robot, gains = robots["mgr"], 1 + 0.01 * rng.normal(size=MEMBERS)
+    jackknife = np.sqrt((MEMBERS - 1) / MEMBERS * ((gains - gains.mean()) ** 2).sum())
+    model = SessionLikelihood(Disagreeing(robot, gains), known_noise(), session(robot, 3, gain))
+    kind = mechanism_class("gain_change")
+    found = estimate(model, [kind.at({"gain": 1.0})])
+    certain, uncertain = found.covariance, with_uncertain_simulation(model, found).covariance
+    expected = found.values[0] / gains.mean() * jackknife
+    assert np.sqrt(uncertain - certain)[0, 0] == pytest.approx(expected, rel=0.03)
+    alone = SessionLikelihood(ExactBase(robot), known_noise(), session(robot, 3, gain))
+    known = estimate(alone, [kind.at({"gain": 1.0})])
+    assert with_uncertain_simulation(alone, known) is known
+
+
+@pytest.mark.parametrize("base", [Disagreeing, Corrected])
+def test_one_member_says_by_how_much_mechanisms_change_errors(robots, base):
+    robot = robots["mgr"]
+    gains = 1 + 0.02 * np.random.default_rng(8).normal(size=MEMBERS)
+    model = SessionLikelihood(base(robot, gains), known_noise(), session(robot, 4, 1.0))
+    near = [mechanism_class("gain_change").at({"gain": 0.9})]
+    for name, values in (("command_delay", {"delay_s": 0.1}), ("marker_yaw", {"angle_rad": 0.1})):
+        others = [*near, mechanism_class(name).at(values)]
+        exact = model.errors(others)
+        change = np.linalg.norm(exact - model.errors(near))
+        assert np.linalg.norm(model.errors_near(others, near) - exact) < 0.05 * change
+    np.testing.assert_allclose(model.errors_near(near, near), model.errors(near), atol=1e-9)
+
+
+def test_a_trained_model_is_corrected_by_one_member_wherever_it_is_asked(robots):
+    gains = np.linspace(0.9, 1.1, MEMBERS)
+    model = SessionLikelihood(Corrected(robots["mur"], gains), known_noise(), session(robots["mur"], 6, 1.0))
+    late = [mechanism_class("actuator_lag").at({"time_constant_s": 0.2})]
+    first, last = (model.predictor.with_member(member) for member in (0, MEMBERS - 1))
+    ways = [one.twist(late) for one in (first, last)]
+    ratio = (ways[0] * ways[1]).sum() / (ways[0] ** 2).sum()
+    assert float(ratio) == pytest.approx(2.1 / 1.9, rel=1e-3)
