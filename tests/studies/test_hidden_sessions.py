@@ -82,6 +82,10 @@ def test_the_largest_size_is_taken_where_none_is_large_enough_and_else_the_right
         (20 / 300) ** (1 / 1.5)
     )
     assert size_that_raises(20.0, (0.001, 0.1), lambda size: 100.0 * size) == 0.1
+    # where larger ones cannot be had, an engine says nothing of them
+    found = size_that_raises(20.0, (0.001, 1.0), lambda size: 100.0 * size if size < 0.5 else float("inf"))
+    assert found == pytest.approx(0.2, rel=0.05)
+    assert 0.0 < size_that_raises(20.0, (0.001, 1.0), lambda size: float("inf")) < 0.002
     # below a threshold nothing happens at all
     found = size_that_raises(20.0, (0.001, 1.0), lambda size: max(0.0, 100.0 * (size - 0.3)))
     assert found == pytest.approx(0.5, rel=0.1)

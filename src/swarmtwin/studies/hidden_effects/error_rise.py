@@ -64,7 +64,7 @@ def size_that_raises(
     Args:
         wanted_percent: by how much.
         sizes: the smallest and the largest.
-        rise: by how many percent an effect of a size raises the error.
+        rise: by how many percent an effect of a size raises the error; infinite where no vehicle can have it.
         halvings: of the range.
     """
     low, high = (math.log(size) for size in sizes)

@@ -172,7 +172,10 @@ def sized_effect(
 
     def rise(size: float) -> float:
         hidden = made_effects((sized_entry(name, size, case, trial),), trial)
-        transitions, _ = from_recording(record(replace(trial, effects=hidden), drive=drive)[1])
+        try:
+            transitions, _ = from_recording(record(replace(trial, effects=hidden), drive=drive)[1])
+        except ArithmeticError:  # a fin that jumps that far makes the rigid body unstable
+            return math.inf
         return rise_percent(simulation.error(transitions), usual)
 
     sizes = {**CATALOGUE, **OUTSIDE}[name][case.robot]
