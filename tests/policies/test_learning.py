@@ -246,13 +246,13 @@ def test_the_best_policy_is_kept_and_not_the_last(folder):
     final = {}
     for evaluation, weights in learner.finalists:
         policy = Policy.with_weights(job.robot, learner.task.observation_names, job.algorithm.architecture, weights)
-        rollout = play(learner.task, SimulatedMotion(learner.simulation, 40, 1), scenarios, policy.act)
-        one_more_or_less = pytest.approx(rollout.success.mean(), abs=1 / 40)  # the compiled world rounds otherwise
-        final[evaluation.step] = (one_more_or_less, pytest.approx(rollout.mean_reward.mean(), abs=1e-3))
+        # as it learned: by its plain formulas the world rounds otherwise, and a scenario in 40 may end otherwise
+        rollout = play(learner.task, SimulatedMotion(learner.simulation, 40, 1), scenarios, policy.act, compiled=True)
+        final[evaluation.step] = (rollout.success.mean(), pytest.approx(rollout.mean_reward.mean(), abs=1e-3))
         if evaluation.step == result.best.step:
             assert all(np.array_equal(result.weights[name], values) for name, values in weights.items())
     assert (result.best.success, result.best.reward) == final[result.best.step]
-    assert result.best.success == max(finalist.evaluation.success for finalist in learner.finalists)
+    assert result.best.success == max(success for success, _ in final.values())
 
 
 def test_seeds_side_by_side_are_the_same_as_in_turn(folder):
