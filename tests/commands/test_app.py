@@ -94,7 +94,7 @@ def test_a_fault_of_the_system_is_one_line(recording, workplace, capfd, monkeypa
     def fail(*arguments):
         raise fault
 
-    monkeypatch.setattr("swarmtwin.commands.prepare.save_preparation", fail)
+    monkeypatch.setattr("swarmtwin.transitions.preparing.save_description", fail)
     assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 2
     error = capfd.readouterr().err
     assert "the disk is full" in error or "no permission" in error
@@ -109,7 +109,7 @@ def test_a_defect_of_ours_is_one_line_that_names_the_log_with_its_traceback(
     def fail(*arguments):
         raise ValueError("seven is not eight\nnor nine")
 
-    monkeypatch.setattr("swarmtwin.commands.prepare.save_preparation", fail)
+    monkeypatch.setattr("swarmtwin.transitions.preparing.save_description", fail)
     monkeypatch.setattr("tempfile.tempdir", str(recording))
     if not outputs_can_be_made:
         (workplace / "outputs").write_text("a file")
@@ -130,9 +130,9 @@ def test_an_interrupted_command_leaves_nothing_and_the_next_one_works(recording,
     hold = workplace / "hold.py"
     hold.write_text(
         "import sys, time\n"
-        "import swarmtwin.commands.prepare as prepare\n"
+        "import swarmtwin.transitions.preparing as preparing\n"
         "def wait(*arguments):\n    print('waiting', flush=True)\n    time.sleep(30)\n"
-        "prepare.save_preparation = wait\n"
+        "preparing.save_description = wait\n"
         "from swarmtwin.commands import main\nmain()\n"
     )
     command = [sys.executable, str(hold), "prepare", "robot=mgr", f"recording={recording}", "output=out"]

@@ -5,6 +5,7 @@ import json
 import mlflow
 import numpy as np
 import pandas as pd
+import pyarrow.parquet
 import pytest
 
 from drives import drive, write_drive
@@ -161,3 +162,20 @@ def test_a_wrong_unit_is_one_line_and_leaves_nothing(swarmtwin, workshop, column
     assert said in answer.error
     assert answer.error.count("\n") == 1
     assert not (workshop / "prepared").exists()
+
+
+@pytest.mark.parametrize("command", ["prepare", "train"])
+def test_a_recording_damaged_in_the_middle_leaves_nothing(swarmtwin, robots, workshop, command):
+    folder = write_drive(workshop / "monday", robots["mgr"], drive(robots["mgr"], runs=60, steps=30), "one_file")
+    file = folder / "runs.parquet"
+    table = pyarrow.parquet.read_table(file)
+    pyarrow.parquet.write_table(table, file, row_group_size=100, write_page_checksum=True, use_dictionary=False)
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    file.write_bytes(content)
+    before = sorted(path.name for path in workshop.iterdir())
+    answer = swarmtwin(command, "robot=mgr", "recording=monday", "output=out")
+    assert answer.status == 2
+    assert answer.error.startswith(f"swarmtwin {command}: monday/runs.parquet: no Parquet file can be read (")
+    assert answer.error.endswith("): the file is damaged or cut off; copy it again from where it was recorded\n")
+    assert sorted(path.name for path in workshop.iterdir()) == before

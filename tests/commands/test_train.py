@@ -8,6 +8,7 @@ import sys
 import mlflow
 import numpy as np
 import pandas as pd
+import pyarrow.parquet
 import pytest
 
 from swarmtwin.dynamics.model_folder import load_evidence, read_description
@@ -295,5 +296,23 @@ def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, options, 
     assert answer.status == status
     assert answer.error.startswith(f"swarmtwin train: {message}")
     assert len(answer.error.strip().splitlines()) == 1
+    assert not (workshop / "out").exists()
+    assert runs() == []
+
+
+def test_transitions_damaged_in_the_middle_are_refused_before_anything_is_learned(swarmtwin, workshop):
+    swarmtwin("prepare", "recording=reference", "output=prepared")
+    file = workshop / "prepared" / "transitions.parquet"
+    table = pyarrow.parquet.read_table(file)
+    pyarrow.parquet.write_table(table, file, row_group_size=100, compression="zstd")
+    damaged = pyarrow.parquet.read_metadata(file).row_group(4).column(table.column_names.index("turn_rad"))
+    content = bytearray(file.read_bytes())
+    start, length = damaged.data_page_offset, damaged.total_compressed_size
+    content[start : start + length] = b"\xff" * length
+    file.write_bytes(content)
+    answer = swarmtwin("train", "transitions=prepared", *QUICK[2:], "model=mlp", "output=out")
+    assert answer.status == 2
+    assert answer.error.startswith("swarmtwin train: prepared/transitions.parquet: no transitions can be read (")
+    assert answer.error.endswith("): make it again with swarmtwin prepare\n")
     assert not (workshop / "out").exists()
     assert runs() == []

@@ -7,13 +7,12 @@ from rich.console import Console
 from rich.table import Table
 
 from swarmtwin.files import new_folder
-from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.tracks import ROW_REASONS
 from swarmtwin.robot import Robot, StrictModel
-from swarmtwin.transitions import SPLITS, Preparation, SplitOptions, from_recording, split_by_run
+from swarmtwin.transitions import SPLITS, Preparation, SplitOptions
 from swarmtwin.transitions.displacement_plots import draw_preparation
 from swarmtwin.transitions.extraction import REASONS
-from swarmtwin.transitions.preparation import describe, save_preparation
+from swarmtwin.transitions.preparing import prepare
 
 
 class Options(StrictModel):
@@ -35,18 +34,14 @@ def run(options: Options) -> dict[str, Any]:
     """
     settings = options.model_dump(mode="json")
     with new_folder(options.output, "prepare", settings, options.overwrite, inputs=[options.recording]) as folder:
-        recording = read_recording(options.recording, options.robot)
-        transitions, counts = from_recording(recording)
-        transitions = split_by_run(transitions, options.split.fractions, options.split.seed)
-        name = options.recording.resolve().name
-        preparation = describe(recording, name, transitions, counts, options.split.fractions, options.split.seed)
-        save_preparation(folder, transitions, preparation)
+        preparation = prepare(options.recording, options.robot, options.split, folder)
         if options.pictures:
             draw_preparation(folder, folder)
     for table in summary(preparation):
         Console().print(table)
     for warning in preparation.warnings:
         Console().print(f"warning: {warning}", highlight=False, soft_wrap=True)
+    counts = preparation.counts
     return {"transitions": counts.kept, "dropped": counts.considered - counts.kept, "output": str(options.output)}
 
 

@@ -1,7 +1,9 @@
 """`swarmtwin train`: a dynamics model learns from transitions, is tracked and registered; a better one challenges."""
 
+import shutil
 import time
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,8 +29,9 @@ from swarmtwin.tracking.challengers import challenge_by_errors
 from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.tracking.store import store_uri
-from swarmtwin.transitions import SplitOptions, Transitions
-from swarmtwin.transitions.inputs import Vehicles
+from swarmtwin.transitions import SplitOptions
+from swarmtwin.transitions.inputs import Vehicles, training_folder
+from swarmtwin.transitions.source import TransitionSource
 
 
 class Options(StrictModel):
@@ -61,52 +64,75 @@ def run(options: Options) -> dict[str, Any]:
     """
     config = model_config(options.model, "model")
     torch_device(options.device)
-    data = TrainingData.read(
-        options.robot,
-        transitions=options.transitions,
-        recording=options.recording,
-        vehicles=options.vehicles,
-        split=options.split,
-        synthetic=options.synthetic,
-        real_share=options.real_share,
-    )
+    source = training_folder(options.robot, options.transitions, options.recording, options.vehicles)
     name = f"{options.robot.name}-{config.name}"
     output = output_folder(options.output, "train", f"{name}-seed{options.seed}")
     settings = options.model_dump(mode="json", by_alias=True)
-    sources = list(data.sources)
-    inputs = [each for source in data.sources.items() for each in split_inputs(*source)]
+    folders = [folder for folder in (source, options.synthetic) if folder]
     with (
-        new_folder(output, "train", settings, options.overwrite, resumable=True, inputs=sources) as folder,
-        tracked_run("dynamics", name, settings, inputs, options.seed, options.trainer.system_metrics) as tracked,
+        new_folder(output, "train", settings, options.overwrite, resumable=True, inputs=folders) as folder,
+        _workspace(folder) as workspace,
     ):
-        started = time.monotonic()
-        curves = LiveCurves(tracked.run_id, store_uri()) if options.trainer.logger == "mlflow" else None
-        trained = _train(options, config, data.transitions, folder / CHECKPOINTS, curves)
-        provenance = provenance_of(trained, data.preparation)
-        save_trained(folder, trained, provenance, data.evidence)
-        if options.pictures:
-            draw_training(folder, folder)
-        seconds = time.monotonic() - started
-        _track(tracked, trained, provenance, seconds)
-        tracked.warnings(data.preparation.warnings)
-        kept = tracked.model(folder, "dynamics")
-        registered = "not registered"
-        if options.register_model:
-            registered_name = f"{options.robot.name}-dynamics"
-            version = registry.register(registered_name, folder, kept, tracked.run_id, provenance.tags(config.name))
-            validation = data.transitions.part("validation")
-            errors = Errors.by_run(one_step_errors(trained.dynamics, validation), validation.run)
-            registered = challenge_by_errors(tracked, version, errors, validation.digest())
+        data = TrainingData.read(
+            options.robot,
+            source,
+            is_recording=options.recording is not None,
+            vehicles=options.vehicles,
+            split=options.split,
+            synthetic=options.synthetic,
+            real_share=options.real_share,
+            workspace=workspace,
+        )
+        inputs = [each for of_folder in data.sources.items() for each in split_inputs(*of_folder)]
+        with tracked_run("dynamics", name, settings, inputs, options.seed, options.trainer.system_metrics) as tracked:
+            started = time.monotonic()
+            curves = LiveCurves(tracked.run_id, store_uri()) if options.trainer.logger == "mlflow" else None
+            trained = _train(options, config, data.transitions, folder / CHECKPOINTS, curves)
+            provenance = provenance_of(trained, data.preparation)
+            save_trained(folder, trained, provenance, data.evidence)
+            if options.pictures:
+                draw_training(folder, folder)
+            seconds = time.monotonic() - started
+            _track(tracked, trained, provenance, seconds)
+            tracked.warnings(data.preparation.warnings)
+            kept = tracked.model(folder, "dynamics")
+            registered = "not registered"
+            if options.register_model:
+                registered = _register(tracked, trained, provenance, data.transitions, folder, kept)
     Console().print(_table(name, provenance))
     Console().print(f"{output}: {registered}", highlight=False, soft_wrap=True)
     return {**_errors(provenance), "training_s": round(seconds, 1), "output": str(output)}
 
 
+@contextmanager
+def _workspace(folder: Path) -> Iterator[Path]:
+    """Give an empty folder as long as the block lasts, beside the checkpoints, which are no part of the output."""
+    workspace = folder / CHECKPOINTS / "prepared"
+    shutil.rmtree(workspace, ignore_errors=True)  # a killed call's
+    workspace.mkdir(parents=True)
+    try:
+        yield workspace
+    finally:
+        shutil.rmtree(workspace, ignore_errors=True)
+
+
+def _register(
+    tracked: TrackedRun, trained: Trained, provenance: Provenance, data: TransitionSource, folder: Path, kept: str
+) -> str:
+    """Register the model, let it challenge the others by its errors on the validation runs, and say what came of it."""
+    robot = trained.dynamics.robot
+    tags = provenance.tags(trained.dynamics.config.name)
+    version = registry.register(f"{robot.name}-dynamics", folder, kept, tracked.run_id, tags)
+    validation = data.part("validation")
+    errors = Errors.by_run(one_step_errors(trained.dynamics, validation), validation.run)
+    return challenge_by_errors(tracked, version, errors, validation.digest())
+
+
 def _train(
-    options: Options, config: ModelConfig, transitions: Transitions, checkpoints: Path, curves: LiveCurves | None
+    options: Options, config: ModelConfig, transitions: TransitionSource, checkpoints: Path, curves: LiveCurves | None
 ) -> Trained:
     seeds = range(options.seed, options.seed + options.seeds)
-    rows = len(transitions.part("train"))
+    rows = transitions.count("train")
     epochs = options.recipe.completed(config.learning_rate, config.steps, rows).epochs or 0
     shown = options.trainer.progress_bar == "epochs"
     with training_bars(f"{options.robot.name} {config.name}", epochs) if shown else nullcontext() as report:

@@ -121,11 +121,12 @@ class NetworkDynamics(DynamicsModule):
     def predict(self, situation: Situation) -> Tensor:
         """Return the expected displacements (N, 3), without gradients, on the situation's device."""
         asked = situation.only(self.inputs)
-        starts = range(0, max(len(asked), 1), self.batch_size)
+        predicted = torch.empty(len(asked), 3, device=asked.command.device)
         with torch.inference_mode():
-            parts = (asked[start : start + self.batch_size].to(self.device).to(torch.float32) for start in starts)
-            batches = [self(part) for part in parts]
-            return torch.cat(batches).to(asked.command.device)
+            for start in range(0, len(asked), self.batch_size):
+                rows = slice(start, start + self.batch_size)
+                predicted[rows] = self(asked[rows].to(self.device).to(torch.float32))
+        return predicted
 
     @property
     def drawn_members(self) -> int:

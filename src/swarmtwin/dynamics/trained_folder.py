@@ -13,7 +13,10 @@ from swarmtwin.dynamics.training import Trained
 from swarmtwin.files import write_text
 from swarmtwin.robot import Robot
 from swarmtwin.transitions import Preparation, SplitOptions, Transitions, held_out, mix
-from swarmtwin.transitions.inputs import Vehicles, prepared_transitions, training_transitions
+from swarmtwin.transitions.inputs import Vehicles, preparation_of, prepared_transitions
+from swarmtwin.transitions.preparation import stored_transitions
+from swarmtwin.transitions.preparing import prepare
+from swarmtwin.transitions.source import TransitionSource
 from swarmtwin.transitions.transitions import Split
 
 
@@ -22,37 +25,52 @@ class TrainingData:
     """What to train on.
 
     Attributes:
-        transitions: with their splits, real, synthetic or mixed.
+        transitions: with their splits, real, synthetic or mixed: a mixture is in memory, others stay in their file.
         preparation: how they came about.
         evidence: real transitions that the model is not fitted to, against which later sessions can be diagnosed. A
             mixture's is the test split alone, since its generator may have seen the rest.
         sources: the folders that all of it comes from, and what each of them holds.
     """
 
-    transitions: Transitions
+    transitions: TransitionSource
     preparation: Preparation
     evidence: Transitions
-    sources: Mapping[Path, Transitions]
+    sources: Mapping[Path, TransitionSource]
 
     @classmethod
     def read(
         cls,
         robot: Robot,
+        source: Path,
         *,
-        transitions: Path | None,
-        recording: Path | None,
+        is_recording: bool,
         vehicles: Vehicles,
         split: SplitOptions,
         synthetic: Path | None,
         real_share: float,
+        workspace: Path,
         most_evidence: int = 20_000,
     ) -> "TrainingData":
-        """Read transitions, or prepare a recording; mix synthetic ones in, so that `real_share` of all are real.
+        """Look into transitions, or prepare a recording; mix synthetic ones in, so that `real_share` of all are real.
+
+        Args:
+            robot: whose they are.
+            source: folder of the transitions, or of the recording.
+            is_recording: whether it is one.
+            vehicles: ids of those that are taken from a recording; None: all.
+            split: of a recording.
+            synthetic: folder of synthetic transitions to mix in; None: none.
+            real_share: of a mixture.
+            workspace: an existing folder, into which a recording is prepared; it must last as long as the training.
+            most_evidence: transitions, at most, but at least one run.
 
         Raises:
-            UserError: see `training_transitions` and `mix`.
+            UserError: they are at fault, see `prepare`, `prepared_transitions` and `mix`.
         """
-        real, preparation, source = training_transitions(robot, transitions, recording, vehicles, split)
+        if is_recording:
+            preparation, real = prepare(source, robot, split, workspace, vehicles), stored_transitions(workspace)
+        else:
+            preparation, real = preparation_of(source, robot), stored_transitions(source)
         unfitted: tuple[Split, ...] = ()
         if synthetic is None:
             if preparation.origin == "real":
@@ -61,8 +79,8 @@ class TrainingData:
         added = prepared_transitions(synthetic, robot)
         if set(added[1].learned) <= set(preparation.learned):  # else its generator may have seen any run
             unfitted = ("test",)
-        mixed = mix((real, preparation), added, real_share)
-        sources = {source: real, synthetic: added[0]}
+        mixed = mix((real.whole(), preparation), added, real_share)
+        sources: dict[Path, TransitionSource] = {source: real, synthetic: added[0]}
         return cls(*mixed, held_out(real, unfitted, most_evidence), sources)
 
 

@@ -28,7 +28,8 @@ from swarmtwin.learning.parallel import cores, run_side_by_side
 from swarmtwin.learning.recipe import Recipe
 from swarmtwin.learning.trainer import run_trainer
 from swarmtwin.learning.trainer_settings import LiveCurves, TrainerSettings
-from swarmtwin.transitions import Transitions
+from swarmtwin.transitions import SPLITS
+from swarmtwin.transitions.source import TransitionSource
 
 log = logging.getLogger(__name__)
 
@@ -57,7 +58,7 @@ class TrainingJob(NamedTuple):
     """One seed to train, in this process or another.
 
     Attributes:
-        transitions: measured or synthetic transitions with their splits.
+        transitions: measured or synthetic transitions with their splits, in memory or in a file.
         config: which model.
         recipe: how to train it; its learning rate and epochs are known.
         seed: of initial weights, order and dropout.
@@ -68,7 +69,7 @@ class TrainingJob(NamedTuple):
         curves: the run that the errors of each epoch are sent to, named after the seed; None: none.
     """
 
-    transitions: Transitions
+    transitions: TransitionSource
     config: ModelConfig
     recipe: Recipe
     seed: int
@@ -170,11 +171,20 @@ class TrainingJob(NamedTuple):
         on_device = data.to(torch_device(self.device))
         counts = None
         if dynamics.drawn_members:
-            learned = self.transitions.part("train")
-            drawn = bootstrap_counts(learned.vehicle, learned.run, dynamics.drawn_members, self.seed)
-            counts = torch.as_tensor(drawn, dtype=torch.float32, device=torch_device(self.device))
+            counts = self._counts(dynamics.drawn_members).to(torch_device(self.device))
         batches = ShuffledBatches(*on_device.train, self.recipe.batch_size, self.seed, counts)
         return TrainingModule(dynamics, self.recipe, self.epochs * len(batches)), batches
+
+    def _counts(self, members: int) -> torch.Tensor:
+        """Return (N, M) how often each transition to train on counts for each member of an ensemble."""
+        train = SPLITS.index("train")
+        learned = [
+            (block["vehicle"][rows], block["run"][rows])
+            for block in self.transitions.blocks(("vehicle", "run", "split"))
+            for rows in [block["split"] == train]
+        ]
+        vehicle, run = (np.concatenate(parts) for parts in zip(*learned, strict=True))
+        return torch.as_tensor(bootstrap_counts(vehicle, run, members, self.seed), dtype=torch.float32)
 
     def _identity(self, data: TensorSplits) -> str:
         parts = (self.config, self.recipe, data.robot, self.trainer)
@@ -240,7 +250,7 @@ class Trained:
 
 
 def train(
-    transitions: Transitions,
+    transitions: TransitionSource,
     config: ModelConfig,
     recipe: Recipe,
     seeds: Sequence[int],
@@ -257,7 +267,7 @@ def train(
     Dead seeds are replaced by those that follow the last one, at most `reserve` of them, and stay in the results.
 
     Args:
-        transitions: measured or synthetic transitions with their splits.
+        transitions: measured or synthetic transitions with their splits, in memory or in a file.
         config: which model.
         recipe: how to train it.
         seeds: one training each.
@@ -272,7 +282,7 @@ def train(
     Raises:
         UserError: too little data, values that are not finite, every seed is dead, or no GPU where one is asked for.
     """
-    recipe = recipe.completed(config.learning_rate, config.steps, len(transitions.part("train")))
+    recipe = recipe.completed(config.learning_rate, config.steps, transitions.count("train"))
     trainer = trainer or TrainerSettings()
     if trainer.processes > 1:  # that share one seed's training
         processes = 1
@@ -295,16 +305,11 @@ def train(
     best = _best_live(config, results)
     weights = {name: torch.from_numpy(values) for name, values in best.weights.items()}
     dynamics = NetworkDynamics.with_weights(transitions.robot, config, weights)
-    dynamics.motion_noise = _motion_noise(dynamics, transitions)
-    if dynamics.drawn_members:
-        calibrate_spread(dynamics, transitions.part("validation"))
-    return Trained(dynamics, best.seed, recipe, tuple(results))
-
-
-def _motion_noise(dynamics: NetworkDynamics, transitions: Transitions) -> MotionNoise:
-    """Estimate the random part of motion and camera from the validation split, which the model was not fitted to."""
     unseen = transitions.part("validation")
-    return MotionNoise.estimate(unseen, predict(dynamics, unseen))
+    dynamics.motion_noise = MotionNoise.estimate(unseen, predict(dynamics, unseen))
+    if dynamics.drawn_members:
+        calibrate_spread(dynamics, unseen)
+    return Trained(dynamics, best.seed, recipe, tuple(results))
 
 
 def _best_live(config: ModelConfig, results: Sequence[SeedResult]) -> SeedResult:

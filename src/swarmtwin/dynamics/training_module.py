@@ -147,7 +147,8 @@ class EpochHistory(lightning.Callback):
         self.best_loss = math.inf
         self.best_epoch = 0
         self.best_weights: dict[str, Tensor] = {}
-        self._train: list[Tensor] = []
+        self._train = torch.empty(0, 2)
+        self._steps = 0
         self._validation: list[tuple[Tensor, int]] = []
 
     @property
@@ -193,13 +194,15 @@ class EpochHistory(lightning.Callback):
         """Make order and dropout of the epoch depend on seed and epoch alone, so that a continued training is equal."""
         self.batches.epoch = len(self.errors)
         torch.manual_seed(epoch_seed(self.seed, len(self.errors)))
-        self._train, self._validation = [], []
+        self._train = torch.empty(len(self.batches), 2, device=module.device)
+        self._steps, self._validation = 0, []
 
     def on_train_batch_end(
         self, trainer: lightning.Trainer, module: lightning.LightningModule, outputs: Any, batch: Batch, batch_idx: int
     ) -> None:
         """Note the batch's errors."""
-        self._train.append(outputs["errors"])
+        self._train[self._steps] = outputs["errors"]
+        self._steps += 1
 
     def on_validation_batch_end(
         self,
@@ -252,7 +255,7 @@ class EpochHistory(lightning.Callback):
             trainer.save_checkpoint(file)
 
     def _close_epoch(self, trainer: lightning.Trainer) -> Epoch:
-        train = torch.stack(self._train).mean(dim=0)
+        train = self._train[: self._steps].mean(dim=0)
         if trainer.world_size > 1:  # each process has seen its share of each batch
             train = cast(Tensor, trainer.strategy.reduce(train, reduce_op="mean"))
         train_mm, train_rad = train.tolist()

@@ -1,7 +1,8 @@
 """Transitions in memory as tensors, given out in batches by index: no loader, no copies, no workers."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +10,10 @@ import torch
 from torch import Tensor
 
 from swarmtwin.errors import UserError
-from swarmtwin.learning.situation import Situation
+from swarmtwin.learning.situation import Situation, field_of
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, Arena, Robot, SituationPart
-from swarmtwin.transitions.transitions import SPLITS, Split, Transitions
+from swarmtwin.transitions.source import TransitionSource
+from swarmtwin.transitions.transitions import SPLITS
 
 Batch = tuple[Situation, Tensor]
 """N situations and the displacements (N, 3) that followed them."""
@@ -97,47 +99,95 @@ class TensorSplits(NamedTuple):
         for situation, displacement in (self.train, self.validation):
             for part in (*vars(situation).values(), displacement):
                 if part is not None:
-                    content.update(part.numpy().tobytes())
+                    content.update(part.contiguous().numpy().data)
         return content.hexdigest()
 
 
-def tensor_splits(transitions: Transitions, parts: Sequence[SituationPart]) -> TensorSplits:
+def tensor_splits(transitions: TransitionSource, parts: Sequence[SituationPart]) -> TensorSplits:
     """Turn the training and validation splits into tensors; only commands before, velocities and neighbours may be NaN.
+
+    Beside the tensors, no more than a block of the transitions is in memory.
 
     Raises:
         UserError: a split is empty, a value is not finite, or a part of the situation is not there at all.
     """
-    situation = Situation.from_transitions(transitions, parts)
-    displacement = torch.as_tensor(transitions.displacement, dtype=torch.float32)
-    _check_present(situation)
-    _check_finite(situation, displacement)
-    return TensorSplits(
-        transitions.robot,
-        transitions.arena_mm,
-        _split(transitions, "train", situation, displacement),
-        _split(transitions, "validation", situation, displacement),
-    )
-
-
-def _split(transitions: Transitions, split: Split, situation: Situation, displacement: torch.Tensor) -> Batch:
-    rows = torch.from_numpy(np.flatnonzero(transitions.split == SPLITS.index(split)))
-    if len(rows) < 2:
-        raise UserError(f"the {split} split has {len(rows)} transitions: record more runs, or split them otherwise")
-    return situation[rows], displacement[rows]
-
-
-def _check_present(situation: Situation) -> None:
-    for name, part in vars(situation).items():
-        if part is not None and len(part) and part.isnan().all():
+    train, validation = (_Filled(transitions.count(split)) for split in ("train", "validation"))
+    seen = _Seen()
+    for block in transitions.blocks(dict.fromkeys((*map(field_of, parts), "displacement", "split"))):
+        situation = Situation.from_fields(block, parts)
+        tensors = {name: part for name, part in vars(situation).items() if part is not None}
+        tensors["displacement"] = torch.as_tensor(block["displacement"], dtype=torch.float32)
+        seen.look_at(tensors)
+        for split, filled in (("train", train), ("validation", validation)):
+            filled.take(tensors, torch.from_numpy(np.flatnonzero(block["split"] == SPLITS.index(split))))
+    seen.check()
+    for split, filled in (("train", train), ("validation", validation)):
+        if filled.count < 2:
             raise UserError(
-                f"the model looks at {name}, which these transitions do not hold; synthetic ones hold what their "
-                "generator learned: take it out of model.situation, or train on real transitions, prepared anew"
+                f"the {split} split has {filled.count} transitions: record more runs, or split them otherwise"
             )
+    return TensorSplits(transitions.robot, transitions.arena_mm, train.examples(), validation.examples())
 
 
-def _check_finite(situation: Situation, displacement: torch.Tensor) -> None:
-    parts = {name: part for name, part in vars(situation).items() if part is not None and name not in MAY_BE_UNKNOWN}
-    parts |= dict(zip(DISPLACEMENT_COLUMNS, displacement.T, strict=True))
-    for name, part in parts.items():
-        if count := int((~part.isfinite()).reshape(len(part), -1).any(dim=1).sum()):
-            raise UserError(f"{name} is not finite in {count} of {len(part)} transitions: prepare the recording anew")
+class _Filled:
+    """Tensors of a split, filled block by block: there is room for all its transitions from the first block on."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._tensors: dict[str, Tensor] = {}
+        self._filled = 0
+
+    def take(self, block: Mapping[str, Tensor], rows: Tensor) -> None:
+        """Take some rows of a block."""
+        end = self._filled + len(rows)
+        for name, part in block.items():
+            if name not in self._tensors:
+                self._tensors[name] = part.new_empty((self.count, *part.shape[1:]))
+            torch.index_select(part, 0, rows, out=self._tensors[name][self._filled : end])
+        self._filled = end
+
+    def examples(self) -> tuple[Situation, Tensor]:
+        """Return the situations and the displacements."""
+        parts = dict(self._tensors)
+        displacement = parts.pop("displacement")
+        return Situation(**parts), displacement
+
+
+class _Seen:
+    """What has been seen of tensors (N, ...) by name: how many rows, any value or none, how many not finite."""
+
+    def __init__(self) -> None:
+        self._rows = 0
+        self._not_finite: Counter[str] = Counter()
+        self._known: dict[str, bool] = {}
+
+    def look_at(self, block: Mapping[str, Tensor]) -> None:
+        """Look at a block."""
+        if not len(block["displacement"]):
+            return
+        self._rows += len(block["displacement"])
+        for name, part in block.items():
+            if name != "displacement":
+                self._known[name] = self._known.get(name, False) or not bool(part.isnan().all())
+        certain = {name: part for name, part in block.items() if name not in (*MAY_BE_UNKNOWN, "displacement")}
+        certain |= dict(zip(DISPLACEMENT_COLUMNS, block["displacement"].T, strict=True))
+        for name, part in certain.items():
+            self._not_finite[name] += int((~part.isfinite()).reshape(len(part), -1).any(dim=1).sum())
+
+    def check(self) -> None:
+        """Check that all parts hold something, and numbers where there must be some.
+
+        Raises:
+            UserError: a part of the situation is not there at all, or a value is not finite.
+        """
+        for name, known in self._known.items():
+            if not known:
+                raise UserError(
+                    f"the model looks at {name}, which these transitions do not hold; synthetic ones hold what their "
+                    "generator learned: take it out of model.situation, or train on real transitions, prepared anew"
+                )
+        for name, count in self._not_finite.items():
+            if count:
+                raise UserError(
+                    f"{name} is not finite in {count} of {self._rows} transitions: prepare the recording anew"
+                )

@@ -4,14 +4,19 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields
 from typing import Self, get_args
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from swarmtwin.robot import SituationPart
 from swarmtwin.transitions import Transitions
+from swarmtwin.transitions.transitions import Fields
 
 ALL_PARTS: tuple[SituationPart, ...] = get_args(SituationPart)
+
+
+def field_of(part: SituationPart) -> str:
+    """Return the array of `Transitions` that a part of a situation is taken from."""
+    return "time_s" if part == "elapsed_s" else part
 
 
 @dataclass(frozen=True)
@@ -48,17 +53,14 @@ class Situation:
         dtype: torch.dtype = torch.float32,
     ) -> Self:
         """Take `parts` of measured situations, in the order of the transitions."""
-        measured: dict[SituationPart, np.ndarray] = {
-            "command": transitions.command,
-            "previous_command": transitions.previous_command,
-            "earlier_command": transitions.earlier_command,
-            "pose": transitions.pose,
-            "velocity": transitions.velocity,
-            "elapsed_s": transitions.time_s,
-            "duration_s": transitions.duration_s,
-            "neighbours": transitions.neighbours,
-        }
-        return cls(**{part: torch.as_tensor(measured[part], dtype=dtype) for part in parts})
+        return cls.from_fields({field_of(part): getattr(transitions, field_of(part)) for part in parts}, parts, dtype)
+
+    @classmethod
+    def from_fields(
+        cls, measured: Fields, parts: Collection[SituationPart], dtype: torch.dtype = torch.float32
+    ) -> Self:
+        """Take `parts` of situations from arrays of `Transitions`, which hold those that `field_of` names."""
+        return cls(**{part: torch.as_tensor(measured[field_of(part)], dtype=dtype) for part in parts})
 
     def __len__(self) -> int:
         return len(self.command)

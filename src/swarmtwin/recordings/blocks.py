@@ -13,14 +13,16 @@ import numpy as np
 from swarmtwin.recordings.recording import Track
 
 
-def in_blocks(
-    tracks: Sequence[Track], *, fewest_runs: int = 8, blocks: int = 40, shortest: int = 40
-) -> tuple[Track, ...]:
+def enough_runs(count: int, fewest: int = 8) -> bool:
+    """Whether a recording has so many runs that none of them is cut."""
+    return count >= fewest
+
+
+def in_blocks(tracks: Sequence[Track], *, blocks: int = 40, shortest: int = 40) -> tuple[Track, ...]:
     """Cut the runs of a recording that has too few of them; one that has enough stays as it is.
 
     Args:
         tracks: of the recording, in order of run.
-        fewest_runs: with as many, nothing is cut.
         blocks: about how many there are to be in all: enough that a tenth of them is several.
         shortest: least periods in a block; a run that does not hold two such is not cut.
 
@@ -28,7 +30,7 @@ def in_blocks(
         tracks in order of run, block and vehicle. All vehicles of a run are cut at the same times.
     """
     runs = [list(own) for _, own in itertools.groupby(tracks, key=lambda track: track.run)]
-    if len(runs) >= fewest_runs:
+    if enough_runs(len(runs)):
         return tuple(tracks)
     each = -(-blocks // max(1, len(runs)))
     return tuple(itertools.chain.from_iterable(_cut(own, min(each, max(map(len, own)) // shortest)) for own in runs))

@@ -8,8 +8,6 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from swarmtwin.geometry import displacement_between
-from swarmtwin.recordings.recording import Recording
-from swarmtwin.recordings.rows import Rows, at_most
 from swarmtwin.robot import Robot
 
 
@@ -46,23 +44,6 @@ class ObservedMotion:
     commands: np.ndarray
     start: np.ndarray
     end: np.ndarray
-
-    @classmethod
-    def of(cls, recording: Recording, farthest_row: int = 3, most_pairs: int = 20_000) -> Self:
-        """Take the pairs of a recording, of many a part that is spread evenly."""
-        rows, robot = Rows.of(recording), recording.robot
-        start = rows.starts()
-        duration_s = rows.time_s[start + 1] - rows.time_s[start]
-        usual = at_most(robot.period_s / 2, duration_s) & at_most(duration_s, robot.longest_gap_s)
-        seen = ~np.isnan(rows.pose[start] + rows.pose[start + 1]).any(axis=1)
-        start = start[usual & seen]
-        start = start[:: max(1, -(-len(start) // most_pairs))]
-        commands = []
-        for offset in range(-farthest_row, farthest_row + 1):
-            other = np.clip(start + offset, 0, len(rows) - 1)
-            known = (rows.track[other] == rows.track[start]) & (other == start + offset)
-            commands.append(np.where(known[:, None], rows.command[other], np.nan))
-        return cls(robot, np.stack(commands), rows.pose[start], rows.pose[start + 1])
 
     def __len__(self) -> int:
         return len(self.start)

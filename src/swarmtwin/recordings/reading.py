@@ -6,10 +6,10 @@ import itertools
 import logging
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -17,8 +17,9 @@ import yaml
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
-from swarmtwin.recordings.blocks import in_blocks
+from swarmtwin.recordings.blocks import enough_runs, in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
+from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
 from swarmtwin.recordings.tables import RunTable, parse_run, parse_runs_together
 from swarmtwin.recordings.tracks import tracks_of
@@ -44,42 +45,138 @@ def read_recording(folder: Path, robot: Robot) -> Recording:
         UserError: for a fault of a file, naming the file, the row, the column and the remedy; or the recording as a
             whole cannot be what it says.
     """
+    tracks: list[Track] = []
+    whole = read_in_parts(folder, robot, lambda part: tracks.extend(part.tracks))
+    return replace(whole, tracks=tuple(tracks))
+
+
+def read_in_parts(
+    folder: Path, robot: Robot, take: Callable[[Recording], None], rows_at_a_time: int = 250_000
+) -> Recording:
+    """Read a recording as `read_recording` does, of which no more than a part is in memory at a time.
+
+    Args:
+        folder: the recording's.
+        robot: whose it is.
+        take: given the recording's parts one after the other, each of whole runs, in order. What it makes of them is
+            to be thrown away if an error follows: the recording is judged when all of it has been read.
+        rows_at_a_time: about so many rows make a part, or one run does that has more. A recording with so few runs that
+            they may have to be cut is kept until all are known.
+
+    Returns:
+        What is known of the whole; its tracks, which `take` was given, are left out.
+
+    Raises:
+        UserError: as `read_recording`.
+    """
     folder = Path(folder)
     header, files = look_into(folder, robot)
     _log_others(folder / RUNS_FOLDER)
-    tracks: list[Track] = []
-    in_degrees: list[Track] = []
-    beyond_a_turn = False
+    parts = _Parts(Recording(robot, header, ()), take, rows_at_a_time)
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
     for run, table in _run_tables(files, robot, digest):
         unread |= dict.fromkeys(table.unread)
-        run_tracks, run_dropped = tracks_of(table, run, header.vehicles)
-        tracks += run_tracks
+        tracks, run_dropped = tracks_of(table, run, header.vehicles)
         dropped += run_dropped
-        beyond_a_turn |= bool(np.any(np.abs(table.pose[:, 2]) > 2 * np.pi))
-        if beyond_a_turn:
-            in_degrees += tracks_of(table.with_headings_in_degrees(), run, header.vehicles)[0]
-    if not tracks:
+        parts.add(tracks, table)
+    parts.judge_all()
+    if not parts.spans:
         raise fault(
             files[0].parent if len(files) > 1 else files[0], "no run holds a complete row", "record the runs again"
         )
-    _log_oddities(folder, tracks, dropped, tuple(unread))
+    _log_oddities(folder, parts.spans, dropped, tuple(unread))
     sent = _sent_commands(folder / SENT_FILE, robot)
-    recording = Recording(robot, header, tuple(tracks), dict(dropped), digest.hexdigest(), sent=sent)
     try:
-        warnings = judge(recording, replace(recording, tracks=tuple(in_degrees)) if in_degrees else None)
+        warnings = judge(header, parts.rows, parts.in_degrees)
     except UserError as error:
         raise UserError(f"{folder}: {error}") from None
     for warning in warnings:
         logger.warning("%s: %s", folder, warning)
-    blocks = in_blocks(recording.tracks)
-    if len(blocks) > len(recording.tracks):
-        cut = replace(recording, tracks=blocks)
-        logger.info("%s: %d runs, taken as %d blocks", folder, len(recording.runs), len(cut.runs))
-        recording = cut
-    return replace(recording, warnings=warnings)
+    parts.give_rest(folder)
+    return Recording(robot, header, (), dict(dropped), digest.hexdigest(), warnings, sent)
+
+
+class _Span(NamedTuple):
+    """When a track drives."""
+
+    vehicle: str
+    begun_s: float
+    ended_s: float
+    run: str
+
+
+class _Parts:
+    """Puts runs together to parts as they are read, lets what it is judged by pass by, and gives the parts away.
+
+    Attributes:
+        spans: of the tracks so far, in order.
+        rows: what the recording is judged by.
+        in_degrees: the same with headings taken for degrees, from the first run on that has one beyond a turn; None
+            where there is none.
+    """
+
+    def __init__(self, whole: Recording, take: Callable[[Recording], None], rows_at_a_time: int) -> None:
+        self.spans: list[_Span] = []
+        self.rows = SampledRows(whole.robot)
+        self.in_degrees: SampledRows | None = None
+        self._whole, self._take, self._rows_at_a_time = whole, take, rows_at_a_time
+        self._runs = 0
+        self._beyond_a_turn = False
+        self._waiting: list[Track] = []
+        self._unjudged: list[Track] = []
+        self._unjudged_in_degrees: list[Track] = []
+        self._unjudged_rows = 0
+
+    def add(self, tracks: Sequence[Track], table: RunTable) -> None:
+        """Add the tracks of the next run, of which there may be none, and the rows that they come from."""
+        self._beyond_a_turn |= bool(np.any(np.abs(table.pose[:, 2]) > 2 * np.pi))
+        if not tracks:
+            return
+        self._runs += 1
+        self.spans += [
+            _Span(track.vehicle, float(track.time_s[0]), float(track.time_s[-1]), track.run) for track in tracks
+        ]
+        self._waiting += tracks
+        self._unjudged += tracks
+        self._unjudged_rows += sum(map(len, tracks))
+        if self._beyond_a_turn:
+            self.in_degrees = self.in_degrees or SampledRows(self._whole.robot)
+            known = self._whole.header.vehicles
+            self._unjudged_in_degrees += tracks_of(table.with_headings_in_degrees(), tracks[0].run, known)[0]
+        if self._unjudged_rows >= self._rows_at_a_time:
+            self.judge_all()
+            if enough_runs(self._runs):
+                self._give(self._waiting)
+                self._waiting = []
+
+    def judge_all(self) -> None:
+        """Let what has not yet been looked at pass by."""
+        self.rows.add(self._unjudged)
+        if self.in_degrees is not None:
+            self.in_degrees.add(self._unjudged_in_degrees)
+        self._unjudged, self._unjudged_in_degrees, self._unjudged_rows = [], [], 0
+
+    def give_rest(self, folder: Path) -> None:
+        """Give away what is left when all runs are known, cut into blocks where they are few."""
+        rest: Sequence[Track] = self._waiting
+        if not enough_runs(self._runs):
+            rest = in_blocks(rest)
+            if len(rest) > len(self._waiting):
+                blocks = len({track.run for track in rest})
+                logger.info("%s: %d runs, taken as %d blocks", folder, self._runs, blocks)
+        part: list[Track] = []
+        for _, run in itertools.groupby(rest, key=lambda track: track.run):
+            part += run
+            if sum(map(len, part)) >= self._rows_at_a_time:
+                self._give(part)
+                part = []
+        if part:
+            self._give(part)
+
+    def _give(self, tracks: Sequence[Track]) -> None:
+        self._take(replace(self._whole, tracks=tuple(tracks)))
 
 
 def _run_tables(files: Sequence[Path], robot: Robot, digest: "hashlib._Hash") -> Iterator[tuple[str, RunTable]]:
@@ -196,13 +293,13 @@ def _read_bytes(file: Path) -> bytes:
         raise fault(file, f"it cannot be read ({error.strerror})", "check that it is there and may be read") from None
 
 
-def _log_oddities(folder: Path, tracks: Sequence[Track], dropped: Counter[str], unread: Sequence[str]) -> None:
+def _log_oddities(folder: Path, spans: Sequence[_Span], dropped: Counter[str], unread: Sequence[str]) -> None:
     if unread:
         logger.warning("%s: columns that nothing reads: %s", folder, ", ".join(unread))
     if dropped:
         counts = ", ".join(f"{reason} {count}" for reason, count in sorted(dropped.items()))
         logger.warning("%s: rows set aside while reading: %s", folder, counts)
-    if overlap := _overlapping_runs(tracks):
+    if overlap := _overlapping_runs(spans):
         logger.warning(
             "%s: vehicle %r drives in runs %r and %r at the same time: count times from the start of the session",
             folder,
@@ -210,10 +307,10 @@ def _log_oddities(folder: Path, tracks: Sequence[Track], dropped: Counter[str], 
         )
 
 
-def _overlapping_runs(tracks: Sequence[Track]) -> tuple[str, str, str] | None:
+def _overlapping_runs(spans: Sequence[_Span]) -> tuple[str, str, str] | None:
     """Return the first vehicle and two runs in which it would have to be at the same time."""
-    ordered = sorted(tracks, key=lambda track: (track.vehicle, track.time_s[0]))
+    ordered = sorted(spans, key=lambda span: (span.vehicle, span.begun_s))
     for earlier, later in itertools.pairwise(ordered):
-        if earlier.vehicle == later.vehicle and later.time_s[0] < earlier.time_s[-1]:
+        if earlier.vehicle == later.vehicle and later.begun_s < earlier.ended_s:
             return earlier.vehicle, earlier.run, later.run
     return None

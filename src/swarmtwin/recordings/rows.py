@@ -1,11 +1,12 @@
-"""All rows of a recording in one set of arrays, so that every check is one array operation."""
+"""All rows of some tracks in one set of arrays, so that every check is one array operation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.recording import Track
 
 
 @dataclass(frozen=True)
@@ -14,11 +15,13 @@ class Rows:
 
     Attributes:
         track: (R,) index of the track.
-        run: (R,) index into the recording's runs.
-        vehicle: (R,) index into the recording's vehicles.
+        run: (R,) index into `runs`.
+        vehicle: (R,) index into `vehicles`.
         time_s: (R,).
         command: (R, m), a row of NaN where there was none.
         pose: (R, 3), a row of NaN where there was none.
+        runs: names of the tracks' runs, in order.
+        vehicles: ids of the tracks' vehicles, sorted.
     """
 
     track: np.ndarray
@@ -27,13 +30,14 @@ class Rows:
     time_s: np.ndarray
     command: np.ndarray
     pose: np.ndarray
+    runs: tuple[str, ...]
+    vehicles: tuple[str, ...]
 
     @classmethod
-    def of(cls, recording: Recording) -> Self:
-        """Join the tracks of `recording`."""
-        tracks = recording.tracks
-        runs = {run: index for index, run in enumerate(recording.runs)}
-        vehicles = {vehicle: index for index, vehicle in enumerate(recording.vehicles)}
+    def of(cls, tracks: Sequence[Track]) -> Self:
+        """Join tracks, at least one."""
+        runs = {run: index for index, run in enumerate(dict.fromkeys(track.run for track in tracks))}
+        vehicles = {vehicle: index for index, vehicle in enumerate(sorted({track.vehicle for track in tracks}))}
         lengths = [len(track) for track in tracks]
         return cls(
             track=np.repeat(np.arange(len(tracks)), lengths),
@@ -42,6 +46,8 @@ class Rows:
             time_s=np.concatenate([track.time_s for track in tracks]),
             command=np.concatenate([track.command for track in tracks]),
             pose=np.concatenate([track.pose for track in tracks]),
+            runs=tuple(runs),
+            vehicles=tuple(vehicles),
         )
 
     def __len__(self) -> int:

@@ -208,7 +208,7 @@ def parse_runs_together(file: Path, robot: Robot) -> Iterator[tuple[str, RunTabl
     """
     check_regular(file)
     try:
-        parquet = pa.parquet.ParquetFile(file, page_checksum_verification=True)
+        parquet = pa.parquet.ParquetFile(file, buffer_size=2**20, page_checksum_verification=True)
         names = parquet.schema_arrow.names
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _unreadable(file, error) from None
@@ -230,27 +230,41 @@ def _rows_by_run(file: Path, parquet: pa.parquet.ParquetFile, robot: Robot) -> I
     """Yield runs of equal names as they stand: name, number of the first row from 1, rows."""
     begun: list[pa.Table] = []
     name, first_row, row = "", 1, 1
-    for group in range(parquet.num_row_groups):
-        try:
-            stored = parquet.read_row_group(group, columns=[RUN_COLUMN, *run_columns(robot)], use_threads=False)
-            stored.validate(full=True)
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise _unreadable(file, error) from None
-        runs = _cast(file, RUN_COLUMN, stored.column(RUN_COLUMN)).to_numpy().astype(object)
-        if (nameless := [not run or not str(run).strip() for run in runs]) and any(nameless):
-            raise fault(file, "no run is named", "write the run's name", row + nameless.index(True), RUN_COLUMN)
+    for stored in _stored_rows(file, parquet, [RUN_COLUMN, *run_columns(robot)]):
+        runs = _cast(file, RUN_COLUMN, stored.column(RUN_COLUMN)).combine_chunks().dictionary_encode()
+        names = runs.dictionary.to_pylist()
+        code = pc.fill_null(runs.indices, -1).to_numpy(zero_copy_only=False)
+        nameless = (code < 0) | np.isin(code, [index for index, text in enumerate(names) if not text.strip()])
+        if nameless.any():
+            raise fault(file, "no run is named", "write the run's name", row + int(np.argmax(nameless)), RUN_COLUMN)
         table = _cast_columns(file, stored, robot)
-        edges = [0, *(np.flatnonzero(runs[1:] != runs[:-1]) + 1), len(runs)] if len(runs) else [0]
+        edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1).tolist(), len(code)] if len(code) else [0]
         for start, end in itertools.pairwise(edges):
-            if begun and runs[start] != name:
+            if begun and names[code[start]] != name:
                 yield name, first_row, pa.concat_tables(begun)
                 begun = []
             if not begun:
-                name, first_row = str(runs[start]), row + int(start)
+                name, first_row = names[code[start]], row + start
             begun.append(table.slice(start, end - start))
-        row += len(runs)
+        row += len(code)
     if begun:
         yield name, first_row, pa.concat_tables(begun)
+
+
+def _stored_rows(
+    file: Path, parquet: pa.parquet.ParquetFile, columns: Sequence[str], most: int = 250_000
+) -> Iterator[pa.Table]:
+    """Yield the rows of a file, at most so many at a time: others than we write one row group of millions."""
+    batches = parquet.iter_batches(most, columns=list(columns), use_threads=False)
+    while True:
+        try:
+            batch = next(batches, None)
+            if batch is None:
+                return
+            batch.validate(full=True)
+        except (pa.ArrowException, OSError, ValueError) as error:
+            raise _unreadable(file, error) from None
+        yield pa.Table.from_batches([batch])
 
 
 def _cast_columns(file: Path, stored: pa.Table, robot: Robot) -> pa.Table:

@@ -9,7 +9,8 @@ from swarmtwin.files import folder_digest
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import DISPLACEMENT_COLUMNS, POSE_COLUMNS
 from swarmtwin.tracking.datasets import Dataset
-from swarmtwin.transitions import SPLITS, Transitions
+from swarmtwin.transitions import SPLITS
+from swarmtwin.transitions.source import TransitionSource
 from swarmtwin.transitions.transitions import Split
 
 
@@ -25,12 +26,21 @@ def recording_input(folder: Path, context: str, recording: Recording) -> Dataset
     return Dataset(folder, context, recording.digest, profile, columns)
 
 
-def split_inputs(folder: Path, transitions: Transitions, splits: Sequence[Split] = SPLITS) -> list[Dataset]:
+def split_inputs(folder: Path, transitions: TransitionSource, splits: Sequence[Split] = SPLITS) -> list[Dataset]:
     """Describe the splits of transitions that were read from a folder, each with a digest of its own."""
     columns = (*transitions.robot.command_columns, *POSE_COLUMNS, *DISPLACEMENT_COLUMNS)
     contexts = {"train": "training", "validation": "validation", "test": "test"}
-    parts = {split: part for split in splits if len(part := transitions.part(split))}
+    runs, digests = _runs_by_split(transitions), transitions.digests()
     return [
-        Dataset(folder, contexts[split], part.digest(), {"rows": len(part), "runs": len(np.unique(part.run))}, columns)
-        for split, part in parts.items()
+        Dataset(folder, contexts[split], digests[split], {"rows": rows, "runs": runs[split]}, columns)
+        for split in splits
+        if (rows := transitions.count(split))
     ]
+
+
+def _runs_by_split(transitions: TransitionSource) -> dict[Split, int]:
+    """Return how many runs have transitions in each split."""
+    there = np.zeros((len(SPLITS), len(transitions.runs)), dtype=bool)
+    for block in transitions.blocks(("run", "split")):
+        there[block["split"], block["run"]] = True
+    return dict(zip(SPLITS, there.sum(axis=1).tolist(), strict=True))

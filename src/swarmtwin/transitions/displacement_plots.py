@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, style
-from swarmtwin.transitions.preparation import load_transitions
-from swarmtwin.transitions.transitions import Transitions
+from swarmtwin.transitions.preparation import stored_transitions
+from swarmtwin.transitions.source import TransitionSource
 
 
 def draw_preparation(made: Path, output: Path) -> None:
@@ -17,33 +17,47 @@ def draw_preparation(made: Path, output: Path) -> None:
     Raises:
         UserError: there are no transitions, or they are damaged.
     """
-    coverage_figure(load_transitions(made)).savefig(output / "coverage.png")
+    coverage_figure(stored_transitions(made)).savefig(output / "coverage.png")
 
 
-def coverage_figure(transitions: Transitions, most_dots: int = 4000, most_runs: int = 40) -> Figure:
+def coverage_figure(transitions: TransitionSource, most_dots: int = 4000, most_runs: int = 40) -> Figure:
     """Draw some runs in the arena, the first two numbers of the commands, and the displacements that followed."""
-    chosen = np.linspace(0, len(transitions) - 1, min(most_dots, len(transitions))).astype(int)
+    command, moved = _spread_evenly(transitions, most_dots)
     columns = list(transitions.robot.command.items())
     with style():
         figure = Figure(figsize=(10, 3.2), layout="constrained")
         runs, commands, displacements = figure.subplots(1, 3)
         _draw_runs(runs, transitions, most_runs)
-        command = transitions.command[chosen]
-        second = command[:, 1] if len(columns) > 1 else np.zeros(len(chosen))
+        second = command[:, 1] if len(columns) > 1 else np.zeros(len(command))
         commands.plot(command[:, 0], second, ".", color=FLOOR, markersize=2, alpha=0.5)
         labels = [f"{name}, {column.unit}" for name, column in columns[:2]]
         commands.set(title="commands", xlabel=labels[0], ylabel=labels[1] if len(labels) > 1 else "")
-        moved = transitions.displacement[chosen]
         turn_deg = np.degrees(moved[:, 2])
         displacements.plot(turn_deg, moved[:, 0], ".", color=FLOOR, markersize=2, alpha=0.5)
         displacements.set(title="displacements", xlabel="turn, °", ylabel="forward, mm")
     return figure
 
 
-def _draw_runs(panel: Axes, transitions: Transitions, most: int) -> None:
-    for run in np.unique(transitions.run)[:most]:
-        for vehicle in np.unique(transitions.vehicle[transitions.run == run]):
-            pose = transitions.pose[(transitions.run == run) & (transitions.vehicle == vehicle)]
+def _spread_evenly(transitions: TransitionSource, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the commands (D, m) and displacements (D, 3) of at most so many transitions, evenly spread."""
+    chosen = np.linspace(0, len(transitions) - 1, min(most, len(transitions))).astype(int)
+    first, command, moved = 0, [], []
+    for block in transitions.blocks(("command", "displacement")):
+        rows = len(block["command"])
+        own = chosen[slice(*np.searchsorted(chosen, [first, first + rows]))] - first
+        command.append(block["command"][own])
+        moved.append(block["displacement"][own])
+        first += rows
+    return np.concatenate(command), np.concatenate(moved)
+
+
+def _draw_runs(panel: Axes, transitions: TransitionSource, most: int) -> None:
+    numbers = [np.unique(block["run"])[:most] for block in transitions.blocks(("run",))]
+    drawn = np.unique(np.concatenate(numbers))[:most]
+    some = transitions.chosen(lambda run, _: np.isin(run, drawn))
+    for run in drawn:
+        for vehicle in np.unique(some.vehicle[some.run == run]):
+            pose = some.pose[(some.run == run) & (some.vehicle == vehicle)]
             panel.plot(pose[:, 0], pose[:, 1], color=MEASURED, linewidth=0.6, alpha=0.6)
     panel.set(title=f"the first {min(most, len(transitions.runs))} runs", xlabel="x, mm", ylabel="y, mm")
     panel.set_aspect("equal")

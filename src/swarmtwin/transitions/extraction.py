@@ -1,6 +1,7 @@
 """Transitions from a recording's tracks, and the count of those that are not to be believed, by reason."""
 
 import logging
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -49,6 +50,35 @@ class Counts:
     kept: int
     dropped: Mapping[str, int]
 
+    def __add__(self, other: "Counts") -> "Counts":
+        """Count two parts together."""
+        dropped = {name: self.dropped.get(name, 0) + other.dropped.get(name, 0) for name in REASONS}
+        return Counts(
+            rows=self.rows + other.rows,
+            dropped_rows=dict(Counter(self.dropped_rows) + Counter(other.dropped_rows)),
+            considered=self.considered + other.considered,
+            kept=self.kept + other.kept,
+            dropped={name: count for name, count in dropped.items() if count},
+        )
+
+    def check(self, robot: Robot) -> None:
+        """Check that something is left, and log what is not.
+
+        Raises:
+            UserError: nothing is left.
+        """
+        if not self.considered:
+            raise UserError(
+                f"recording of robot {robot.name!r}: no vehicle has two rows in one run: record longer runs"
+            )
+        listed = ", ".join(f"{name} {count}" for name, count in self.dropped.items())
+        if listed:
+            logger.info("%d of %d transitions kept; dropped: %s", self.kept, self.considered, listed)
+        if not self.kept:
+            raise UserError(
+                f"recording of robot {robot.name!r}: no transition is left of {self.considered}, dropped: {listed}"
+            )
+
 
 def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
     """Make the transitions of a recording, all in the split "train", and count what was dropped and why.
@@ -67,20 +97,21 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
     Raises:
         UserError: nothing is left.
     """
+    transitions, counts = from_part(recording)
+    counts.check(recording.robot)
+    return transitions, counts
+
+
+def from_part(recording: Recording) -> tuple[Transitions, Counts]:
+    """Make the transitions of whole runs, at least one, as `from_recording` does; here nothing may be left."""
     robot = recording.robot
-    rows = Rows.of(recording)
+    rows = Rows.of(recording.tracks)
     start = rows.starts()
-    if not len(start):
-        raise UserError(f"recording of robot {robot.name!r}: no vehicle has two rows in one run: record longer runs")
     duration_s = rows.time_s[start + 1] - rows.time_s[start]
     displacement = displacement_between(rows.pose[start], rows.pose[start + 1])
     doubtful = doubtful_rows(rows, robot)
     reason = _first_reason(rows, start, duration_s, displacement, doubtful, recording)
     kept = reason < 0
-    counts = _counts(rows, recording, reason)
-    if not kept.any():
-        listed = ", ".join(f"{name} {count}" for name, count in counts.dropped.items())
-        raise UserError(f"recording of robot {robot.name!r}: no transition is left of {len(start)}, dropped: {listed}")
     previous_command, earlier_command = _commands_before(rows, robot)
     start = start[kept]
     transitions = Transitions(
@@ -97,10 +128,10 @@ def from_recording(recording: Recording) -> tuple[Transitions, Counts]:
         run=rows.run[start],
         vehicle=rows.vehicle[start],
         split=np.full(len(start), SPLITS.index("train"), dtype=np.int8),
-        runs=recording.runs,
-        vehicles=recording.vehicles,
+        runs=rows.runs,
+        vehicles=rows.vehicles,
     )
-    return transitions, counts
+    return transitions, _counts(rows, recording, reason)
 
 
 def _first_reason(
@@ -172,14 +203,10 @@ def _outside(pose: np.ndarray, recording: Recording) -> np.ndarray:
 def _counts(rows: Rows, recording: Recording, reason: np.ndarray) -> Counts:
     by_reason = np.bincount(reason[reason >= 0], minlength=len(REASONS))
     dropped = {name: int(count) for name, count in zip(REASONS, by_reason, strict=True) if count}
-    counts = Counts(
+    return Counts(
         rows=len(rows),
         dropped_rows=dict(recording.dropped_rows),
         considered=len(reason),
         kept=int((reason < 0).sum()),
         dropped=dropped,
     )
-    if dropped:
-        listed = ", ".join(f"{name} {count}" for name, count in dropped.items())
-        logger.info("%d of %d transitions kept; dropped: %s", counts.kept, counts.considered, listed)
-    return counts

@@ -13,8 +13,9 @@ from swarmtwin.files import write_text
 from swarmtwin.recordings.recording import Recording, fault
 from swarmtwin.robot import Arena, StrictModel
 from swarmtwin.transitions.extraction import Counts
-from swarmtwin.transitions.splitting import Fractions
+from swarmtwin.transitions.splitting import Fractions, SplitOptions
 from swarmtwin.transitions.storage import read_transitions, write_transitions
+from swarmtwin.transitions.stored_transitions import StoredTransitions
 from swarmtwin.transitions.transitions import SPLITS, Transitions
 
 TRANSITIONS_FILE = "transitions.parquet"
@@ -116,20 +117,39 @@ def describe(
     """Describe how `transitions` came about from the `recording` called `name`."""
     runs = runs_by_split(transitions)
     unseen = set(runs["test"])
+    return described(
+        recording,
+        name,
+        counts,
+        SplitOptions(fractions=fractions, seed=seed),
+        vehicles=recording.vehicles,
+        runs=runs,
+        transitions=counts_by_split(transitions),
+        learned=tuple(sorted(track.digest() for track in recording.tracks if track.run not in unseen)),
+    )
+
+
+def described(recording: Recording, name: str, counts: Counts, split: SplitOptions, **found: Any) -> Preparation:
+    """Describe how transitions came about from a recording, whose tracks need not be in memory.
+
+    Args:
+        recording: what is known of it as a whole.
+        name: of its folder.
+        counts: what was kept and dropped.
+        split: how it was split.
+        found: vehicles, runs, transitions and learned, as in `Preparation`.
+    """
     return Preparation(
         robot=recording.robot.name,
         recording=name,
         digest=recording.digest,
         source=recording.header.source,
         arena_mm=recording.header.arena_mm,
-        vehicles=recording.vehicles,
-        fractions=fractions,
-        seed=seed,
+        fractions=split.fractions,
+        seed=split.seed,
         counts=CountsByReason.model_validate(dataclasses.asdict(counts)),
-        runs=runs,
-        transitions=counts_by_split(transitions),
-        learned=tuple(sorted(track.digest() for track in recording.tracks if track.run not in unseen)),
         warnings=recording.warnings,
+        **found,
     )
 
 
@@ -148,6 +168,11 @@ def counts_by_split(transitions: Transitions) -> dict[str, int]:
 def save_preparation(folder: Path, transitions: Transitions, preparation: Preparation) -> None:
     """Write transitions and `preparation` into an existing `folder`."""
     save_transitions(folder, transitions)
+    save_description(folder, preparation)
+
+
+def save_description(folder: Path, preparation: Preparation) -> None:
+    """Write how the transitions in a folder came about."""
     silent = None if preparation.warnings else {"warnings"}
     write_text(folder / PREPARATION_FILE, preparation.model_dump_json(indent=1, exclude=silent) + "\n")
 
@@ -164,6 +189,15 @@ def load_transitions(folder: Path) -> Transitions:
         UserError: there are none, or the file is damaged.
     """
     return read_transitions(_existing(folder, TRANSITIONS_FILE), REMEDY)
+
+
+def stored_transitions(folder: Path) -> StoredTransitions:
+    """Look into the transitions that `swarmtwin prepare` left in `folder`, and leave them there.
+
+    Raises:
+        UserError: there are none, or the file is damaged.
+    """
+    return StoredTransitions.of(_existing(folder, TRANSITIONS_FILE), REMEDY)
 
 
 def load_preparation(folder: Path) -> Preparation:

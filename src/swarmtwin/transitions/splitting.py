@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Seed, StrictModel
+from swarmtwin.transitions.source import TransitionSource
 from swarmtwin.transitions.transitions import SPLITS, Split, Transitions
 
 
@@ -38,16 +39,33 @@ class SplitOptions(StrictModel):
 
 
 def split_by_run(transitions: Transitions, fractions: Fractions, seed: int) -> Transitions:
-    """Assign whole runs to the splits, at random, so that each split's share of the transitions is near its fraction.
+    """Assign whole runs to the splits, as `splits_of_runs` says.
+
+    Raises:
+        UserError: there are fewer runs than splits that want one.
+    """
+    sizes = np.bincount(transitions.run, minlength=len(transitions.runs))
+    return dataclasses.replace(transitions, split=splits_of_runs(sizes, fractions, seed)[transitions.run])
+
+
+def splits_of_runs(sizes: np.ndarray, fractions: Fractions, seed: int) -> np.ndarray:
+    """Give each run a split, at random, so that each split's share of the transitions is near its fraction.
 
     The smaller splits choose first, each at least one run; a run is taken while it brings the split nearer to its
-    share. The same transitions, fractions and seed give the same splits.
+    share. The same sizes, fractions and seed give the same splits.
+
+    Args:
+        sizes: (R,) how many transitions each run has; one that has none counts for nothing.
+        fractions: the shares wanted.
+        seed: of the draw.
+
+    Returns:
+        (R,) index into `SPLITS`.
 
     Raises:
         UserError: there are fewer runs than splits that want one.
     """
     wanted = sorted((split for split in SPLITS if fractions.of(split) > 0), key=fractions.of)
-    sizes = np.bincount(transitions.run, minlength=len(transitions.runs))
     order = np.random.default_rng(seed).permutation(np.flatnonzero(sizes))
     if len(order) < len(wanted):
         runs = "1 run" if len(order) == 1 else f"{len(order)} runs"
@@ -56,13 +74,14 @@ def split_by_run(transitions: Transitions, fractions: Fractions, seed: int) -> T
             f"{runs} with transitions cannot be split into {parts}, at least one run each: record at least "
             f"{len(wanted)} runs, or set a fraction to 0"
         )
+    total = int(sizes.sum())
     split_of_run = np.full(len(sizes), SPLITS.index(wanted[-1]), dtype=np.int8)
     for position, split in enumerate(wanted[:-1]):
         still_wanted = len(wanted) - 1 - position
-        taken = _runs_for(sizes[order], fractions.of(split) * len(transitions), len(order) - still_wanted)
+        taken = _runs_for(sizes[order], fractions.of(split) * total, len(order) - still_wanted)
         split_of_run[order[:taken]] = SPLITS.index(split)
         order = order[taken:]
-    return dataclasses.replace(transitions, split=split_of_run[transitions.run])
+    return split_of_run
 
 
 def _runs_for(sizes: np.ndarray, share: float, most: int) -> int:
@@ -87,15 +106,18 @@ def first_runs(transitions: Transitions, count: int) -> Transitions:
     return transitions.where(np.isin(transitions.run, kept) & (transitions.split != SPLITS.index("test")))
 
 
-def held_out(transitions: Transitions, splits: Collection[Split], most: int) -> Transitions:
+def held_out(transitions: TransitionSource, splits: Collection[Split], most: int) -> Transitions:
     """Keep the first whole runs of some splits, in their order, that hold at most `most` transitions together.
 
     The very first run is kept whatever it holds, so that nothing is left only where the splits are empty.
     """
-    chosen = np.isin(transitions.split, [SPLITS.index(split) for split in splits])
-    runs, sizes = np.unique(transitions.run[chosen], return_counts=True)
-    kept = runs[: max(1, int(np.searchsorted(np.cumsum(sizes), most, side="right")))]
-    return transitions.where(chosen & np.isin(transitions.run, kept))
+    numbers = [SPLITS.index(split) for split in splits]
+    sizes = np.zeros(len(transitions.runs), dtype=int)
+    for block in transitions.blocks(("run", "split")):
+        sizes += np.bincount(block["run"][np.isin(block["split"], numbers)], minlength=len(sizes))
+    runs = np.flatnonzero(sizes)
+    kept = runs[: max(1, int(np.searchsorted(np.cumsum(sizes[runs]), most, side="right")))]
+    return transitions.chosen(lambda run, split: np.isin(split, numbers) & np.isin(run, kept))
 
 
 def _first(part: Transitions, share: float) -> np.ndarray:

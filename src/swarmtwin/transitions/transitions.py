@@ -2,6 +2,7 @@
 
 import dataclasses
 import hashlib
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Self
 
@@ -12,6 +13,9 @@ from swarmtwin.robot import Arena, Robot
 
 Split = Literal["train", "validation", "test"]
 SPLITS: tuple[Split, ...] = ("train", "validation", "test")
+
+Fields = Mapping[str, np.ndarray]
+"""Some arrays of `Transitions` by name, with the same rows each: all of them, or a block."""
 
 
 @dataclass(frozen=True)
@@ -71,17 +75,10 @@ class Transitions:
 
         Times are compared to 2 ms, twice what they are rounded to.
         """
-        same = (self.run[1:] == self.run[:-1]) & (self.vehicle[1:] == self.vehicle[:-1])
-        same &= np.abs(self.time_s[1:] - (self.time_s + self.duration_s)[:-1]) < 2e-3
-        before = np.full(len(self), -1)
-        before[1:][same] = np.flatnonzero(same)
-        return before
+        return _just_before(self.run, self.vehicle, self.time_s, self.duration_s)
 
     def _velocity(self) -> np.ndarray:
-        """Return (N, 3) the twist with which the transition just before each one ends, NaN where there is none."""
-        before = self.just_before()
-        twist = log_map(self.displacement) / self.duration_s[:, None]
-        return np.where((before >= 0)[:, None], twist[before], np.nan)
+        return velocity_before(self.displacement, self.run, self.vehicle, self.time_s, self.duration_s)
 
     def where(self, chosen: np.ndarray) -> Self:
         """Return the transitions chosen by a mask (N,) or by indices; `runs` and `vehicles` stay, so indices hold."""
@@ -92,19 +89,68 @@ class Transitions:
         }
         return dataclasses.replace(self, **arrays)
 
+    def blocks(self, names: Collection[str]) -> Iterator[Fields]:
+        """Yield the arrays of these names, all rows at once: see `TransitionSource`."""
+        yield {name: getattr(self, name) for name in names}
+
+    def chosen(self, choose: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Self:
+        """Return the transitions that a function of their run and split, (N,) each, chooses by a mask (N,)."""
+        return self.where(choose(self.run, self.split))
+
+    def count(self, split: Split) -> int:
+        """Return how many transitions a split has."""
+        return int(np.count_nonzero(self.split == SPLITS.index(split)))
+
     def digest(self) -> str:
         """Identify the content: every number, and the names of the runs and vehicles.
 
         Velocities count where the robot's models are given them; otherwise they follow from the rest.
         """
         content = hashlib.sha256(repr((self.runs, self.vehicles)).encode())
-        for part in dataclasses.fields(self):
-            if part.name == "velocity" and "velocity" not in self.robot.situation:
-                continue
-            if isinstance(value := getattr(self, part.name), np.ndarray):
-                content.update(value.tobytes())
+        for name in digested_fields(self.robot):
+            content.update(getattr(self, name).tobytes())
         return content.hexdigest()[:16]
+
+    def digests(self) -> dict[Split, str]:
+        """Return the digest of each split's transitions."""
+        return {split: self.part(split).digest() for split in SPLITS}
 
     def part(self, split: Split) -> Self:
         """Return the transitions of one split."""
         return self.where(self.split == SPLITS.index(split))
+
+
+def array_fields() -> tuple[str, ...]:
+    """Return the names of the fields of `Transitions` that are arrays with a row a transition, in their order."""
+    apart = ("robot", "arena_mm", "runs", "vehicles")
+    return tuple(part.name for part in dataclasses.fields(Transitions) if part.name not in apart)
+
+
+def digested_fields(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the arrays that a digest takes in, in this order."""
+    return tuple(name for name in array_fields() if name != "velocity" or name in robot.situation)
+
+
+def velocity_before(
+    displacement: np.ndarray, run: np.ndarray, vehicle: np.ndarray, time_s: np.ndarray, duration_s: np.ndarray
+) -> np.ndarray:
+    """Return (N, 3) the twist with which the transition just before each one ends, NaN where there is none.
+
+    Args:
+        displacement: (N, 3) of transitions in order of run, vehicle and time; the others (N,), as in `Transitions`.
+        run: index of the run.
+        vehicle: index of the vehicle.
+        time_s: at the start.
+        duration_s: of the period.
+    """
+    before = _just_before(run, vehicle, time_s, duration_s)
+    twist = log_map(displacement) / duration_s[:, None]
+    return np.where((before >= 0)[:, None], twist[before], np.nan)
+
+
+def _just_before(run: np.ndarray, vehicle: np.ndarray, time_s: np.ndarray, duration_s: np.ndarray) -> np.ndarray:
+    same = (run[1:] == run[:-1]) & (vehicle[1:] == vehicle[:-1])
+    same &= np.abs(time_s[1:] - (time_s + duration_s)[:-1]) < 2e-3
+    before = np.full(len(run), -1)
+    before[1:][same] = np.flatnonzero(same)
+    return before

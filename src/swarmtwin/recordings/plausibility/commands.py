@@ -6,14 +6,11 @@ import numpy as np
 
 from swarmtwin.recordings.observed_motion import ObservedMotion
 from swarmtwin.recordings.plausibility.doubt import Doubt, Limits
-from swarmtwin.recordings.recording import Recording
-from swarmtwin.recordings.rows import Rows
+from swarmtwin.robot import Robot
 
 
-def clock_doubts(recording: Recording, rows: Rows, limits: Limits) -> Iterator[Doubt]:
-    """Compare the times between rows with the robot's period."""
-    robot, start = recording.robot, rows.starts()
-    between_s = rows.time_s[start + 1] - rows.time_s[start]
+def clock_doubts(robot: Robot, between_s: np.ndarray, limits: Limits) -> Iterator[Doubt]:
+    """Compare the times (P,) between successive rows with the robot's period."""
     typical = float(np.median(between_s))
     usual = float(np.mean((between_s >= 0.49 * robot.period_s) & (between_s <= 1.01 * robot.longest_gap_s)))
     said = f"rows follow one another by {typical:.3g} in time_s, the robot's period is {robot.period_s:g} s"

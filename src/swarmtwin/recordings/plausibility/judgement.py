@@ -5,25 +5,26 @@ robot's file or the arena is refused with the mistake that would explain it; wha
 """
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 
 import numpy as np
 
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.observed_motion import ObservedMotion
 from swarmtwin.recordings.plausibility.commands import clock_doubts, command_doubts, unsteered_doubts
 from swarmtwin.recordings.plausibility.doubt import Doubt, Limits
 from swarmtwin.recordings.plausibility.frame import frame_doubts
 from swarmtwin.recordings.plausibility.positions import arena_doubts, gain_doubts, stillness_doubts
-from swarmtwin.recordings.recording import Recording, Track
-from swarmtwin.recordings.rows import Rows
+from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
+from swarmtwin.recordings.recording import Header
 
 
-def judge(recording: Recording, in_degrees: Recording | None = None, limits: Limits | None = None) -> tuple[str, ...]:
+def judge(
+    header: Header, rows: SampledRows, in_degrees: SampledRows | None = None, limits: Limits | None = None
+) -> tuple[str, ...]:
     """Judge a recording as a whole.
 
     Args:
-        recording: as read.
+        header: what it says of itself.
+        rows: as read.
         in_degrees: the same with headings taken for degrees, where some are beyond a turn.
         limits: from where on it is doubted.
 
@@ -33,9 +34,9 @@ def judge(recording: Recording, in_degrees: Recording | None = None, limits: Lim
     Raises:
         UserError: it contradicts the robot's file or the arena, and its header does not say that this was looked at.
     """
-    limits, accepted = limits or Limits(), recording.header.accept or ()
+    limits, accepted = limits or Limits(), header.accept or ()
     doubts: list[Doubt] = []
-    for doubt in _doubts(recording, in_degrees, limits):
+    for doubt in _doubts(header, rows, in_degrees, limits):
         if doubt.refused and doubt.check not in accepted:
             accept = ", ".join([*accepted, doubt.check])
             end = "" if doubt.text.endswith("?") else "."
@@ -46,39 +47,32 @@ def judge(recording: Recording, in_degrees: Recording | None = None, limits: Lim
     return tuple(doubt.text for doubt in doubts)
 
 
-def _doubts(recording: Recording, in_degrees: Recording | None, limits: Limits) -> Iterator[Doubt]:
-    rows = Rows.of(recording)
-    if len(rows.starts()) < limits.fewest_pairs:
+def _doubts(header: Header, rows: SampledRows, in_degrees: SampledRows | None, limits: Limits) -> Iterator[Doubt]:
+    if rows.pairs < limits.fewest_pairs:
         return
-    yield from clock_doubts(recording, rows, limits)
-    motion = ObservedMotion.of(recording)
+    yield from clock_doubts(rows.robot, rows.between_s(), limits)
+    motion = rows.motion()
     if len(motion) < limits.fewest_pairs:
         return
     yield from command_doubts(motion, limits)
     if np.sum(~np.isnan(motion.command).any(axis=1)) < limits.fewest_pairs:
         return
     yield from stillness_doubts(motion, limits)
-    yield from arena_doubts(recording, rows, motion, limits)
-    yield from gain_doubts(recording, motion, limits)
-    degrees = ObservedMotion.of(in_degrees) if in_degrees else None
-    of_frame = list(frame_doubts(motion, degrees, limits))
+    yield from arena_doubts(header.arena_mm, rows.position(), motion, limits)
+    yield from gain_doubts(header.arena_mm, motion, limits)
+    of_frame = list(frame_doubts(motion, in_degrees.motion() if in_degrees else None, limits))
     yield from of_frame
     yield from unsteered_doubts(motion)
-    if len(recording.vehicles) > 1 and not any(doubt.refused for doubt in of_frame):
-        yield from _vehicle_doubts(recording, limits)
+    if len(rows.vehicles) > 1 and not any(doubt.refused for doubt in of_frame):
+        yield from _vehicle_doubts(rows, limits)
 
 
-def _vehicle_doubts(recording: Recording, limits: Limits) -> Iterator[Doubt]:
+def _vehicle_doubts(rows: SampledRows, limits: Limits) -> Iterator[Doubt]:
     """Look at each vehicle's stillness, frame and signs by itself, as far as the whole does not show it."""
-    for vehicle in recording.vehicles:
-        own = recording.where(partial(_is_of, vehicle))
-        motion = ObservedMotion.of(own)
+    for vehicle in rows.vehicles:
+        motion = rows.motion(vehicle)
         if np.sum(~np.isnan(motion.command).any(axis=1)) < limits.fewest_pairs:
             continue
         found: Sequence[Doubt] = [*stillness_doubts(motion, limits), *frame_doubts(motion, None, limits)]
         for doubt in found:
             yield doubt._replace(text=f"vehicle {vehicle!r}: {doubt.text}")
-
-
-def _is_of(vehicle: str, track: Track) -> bool:
-    return track.vehicle == vehicle

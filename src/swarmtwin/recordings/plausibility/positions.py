@@ -7,8 +7,7 @@ import numpy as np
 from swarmtwin.recordings.observed_motion import ObservedMotion
 from swarmtwin.recordings.plausibility.commands import smaller_commands
 from swarmtwin.recordings.plausibility.doubt import Doubt, Limits
-from swarmtwin.recordings.recording import Recording
-from swarmtwin.recordings.rows import Rows
+from swarmtwin.robot import Arena
 
 
 def stillness_doubts(motion: ObservedMotion, limits: Limits) -> Iterator[Doubt]:
@@ -34,11 +33,10 @@ def stillness_doubts(motion: ObservedMotion, limits: Limits) -> Iterator[Doubt]:
         yield Doubt("still", False, f"{said}: is the camera slower than the commands?")
 
 
-def arena_doubts(recording: Recording, rows: Rows, motion: ObservedMotion, limits: Limits) -> Iterator[Doubt]:
-    """Compare positions with the arena that the recording states."""
-    position = rows.pose[~np.isnan(rows.pose).any(axis=1), :2]
-    low, high = recording.header.arena_mm.low_mm, recording.header.arena_mm.high_mm
-    margin = max(recording.robot.vehicle_size_mm) / 2
+def arena_doubts(arena_mm: Arena, position: np.ndarray, motion: ObservedMotion, limits: Limits) -> Iterator[Doubt]:
+    """Compare positions (S, 2) with the arena that the recording states."""
+    low, high = arena_mm.low_mm, arena_mm.high_mm
+    margin = max(motion.robot.vehicle_size_mm) / 2
 
     def outside(at: np.ndarray) -> float:
         return float(np.any((at < low - margin) | (at > high + margin), axis=1).mean())
@@ -74,9 +72,8 @@ def arena_doubts(recording: Recording, rows: Rows, motion: ObservedMotion, limit
     yield Doubt("arena", True, f"{said}, {where}: {remedy}")
 
 
-def gain_doubts(recording: Recording, motion: ObservedMotion, limits: Limits) -> Iterator[Doubt]:
+def gain_doubts(arena_mm: Arena, motion: ObservedMotion, limits: Limits) -> Iterator[Doubt]:
     """Compare how far vehicles move for their commands with how far the robot's file says they can."""
-    arena_mm = recording.header.arena_mm
     size_mm = arena_mm.high_mm - arena_mm.low_mm
     low, high = np.quantile(motion.start[:, :2], [0.001, 0.999], axis=0)
     in_corner = bool(np.all(high - low < limits.corner * size_mm))
