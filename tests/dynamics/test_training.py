@@ -9,7 +9,7 @@ import torch
 
 from swarmtwin.dynamics.evaluation import model_error, predict
 from swarmtwin.dynamics.model_config import config_class
-from swarmtwin.dynamics.training import train
+from swarmtwin.dynamics.training import TrainingJob, train, train_seeds
 from swarmtwin.errors import UserError
 from swarmtwin.learning.batches import ShuffledBatches
 from swarmtwin.learning.dead_outputs import dead_outputs
@@ -135,6 +135,20 @@ def test_seeds_in_processes_give_the_numbers_of_seeds_in_turn(transitions):
         (result.seed, n, epoch) for result in in_turn.results for n, epoch in enumerate(result.history, start=1)
     ]
     assert sorted(reported) == sorted(expected)
+
+
+@pytest.mark.parametrize(("too_many", "at_a_time"), [(1, 1), (0, 2)])
+def test_of_many_transitions_one_process_learns_at_a_time(transitions, monkeypatch, too_many, at_a_time):
+    """Each process has its own: memory would grow with cores."""
+    most = transitions.count("train") - too_many
+    told = []
+    monkeypatch.setattr("swarmtwin.dynamics.training.run_side_by_side", lambda jobs, report, count: told.append(count))
+    monkeypatch.setattr("swarmtwin.dynamics.training.cores", lambda: 2)
+    monkeypatch.setattr(TrainingJob, "expected_s", lambda job: 100.0)
+    jobs = [TrainingJob(transitions, config(), recipe(epochs=1), seed) for seed in (0, 1)]
+    train_seeds(jobs, None, None, most_side_by_side=most)
+    train_seeds(jobs, None, processes=2, most_side_by_side=most)
+    assert told == [at_a_time, 2]
 
 
 def test_the_best_live_seed_is_the_model(transitions):

@@ -212,13 +212,19 @@ def _constant_outputs(dynamics: NetworkDynamics, data: TensorSplits) -> str | No
     return f"constant output: {', '.join(dead)}" if dead else None
 
 
-def train_seeds(jobs: Sequence[TrainingJob], report: EpochReport | None, processes: int | None) -> list[SeedResult]:
-    """Train all jobs, `processes` at a time; None: as many as there are cores, or one where that is quicker."""
+def train_seeds(
+    jobs: Sequence[TrainingJob], report: EpochReport | None, processes: int | None, most_side_by_side: int = 2_000_000
+) -> list[SeedResult]:
+    """Train all jobs, `processes` at a time; None: as many as there are cores, or one where that is quicker.
+
+    One as well where there are more than `most_side_by_side` transitions to learn from: each process has its own.
+    """
     at_a_time = min(len(jobs), processes or cores())
     if processes is None and at_a_time > 1:
-        saved_s = (len(jobs) - math.ceil(len(jobs) / at_a_time)) * jobs[0].expected_s()
-        if saved_s < 7:  # what new processes take to import everything; measured on two cores
+        if max(job.transitions.count("train") for job in jobs) > most_side_by_side:
             at_a_time = 1
+        elif (len(jobs) - math.ceil(len(jobs) / at_a_time)) * jobs[0].expected_s() < 7:
+            at_a_time = 1  # 7 s are what new processes take to import everything; measured on two cores
     return run_side_by_side(jobs, report, at_a_time)
 
 

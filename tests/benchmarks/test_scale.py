@@ -1,0 +1,80 @@
+"""How memory and time grow with a recording, from one to ten million rows: `pytest -s -m benchmark_figures`."""
+
+import os
+import resource
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+
+from drives import drive, write_drive
+
+COMMAND = """
+import resource, sys
+from swarmtwin.commands.app import run_command
+status = run_command(sys.argv[1], sys.argv[2:])
+print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+sys.exit(status)
+"""
+
+RUNS, STEPS = 1000, 99
+
+
+def repeated(folder, robot, times):
+    """Write a recording of `times` · 100,000 rows in one file: sessions of the same drive, each seen a little anew."""
+    write_drive(folder, robot, drive(robot, RUNS, STEPS, vehicles=("1",)), "one_file")
+    file = folder / "runs.parquet"
+    table, random = pyarrow.parquet.read_table(file), np.random.default_rng(1)
+    names = np.array([f"{run:05}" for run in range(RUNS)], dtype=object).repeat(STEPS + 1)
+    columns = {name: table[name].to_numpy() for name in table.column_names if name not in ("run", "vehicle")}
+    session_s = columns["time_s"].max() + 10
+    with pyarrow.parquet.ParquetWriter(file, table.schema, write_page_checksum=True) as writer:
+        for number in range(times):
+            seen = {name: columns[name] + random.normal(0, 0.1, len(table)) for name in ("x_mm", "y_mm")}
+            own = columns | seen | {"time_s": columns["time_s"] + number * session_s}
+            arrays = {name: pa.array(values, from_pandas=True) for name, values in own.items()}
+            arrays |= {"run": pa.array(f"{number:04}_" + names), "vehicle": table["vehicle"]}
+            writer.write_table(pa.table({name: arrays[name] for name in table.column_names}).cast(table.schema))
+    return times * len(table)
+
+
+def called(folder, *arguments):
+    """Run a command in a process of its own; return its seconds of CPU, seconds, and peak of memory in MiB."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    answer = subprocess.run(
+        [sys.executable, "-c", COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True
+    )
+    after, took_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - began
+    assert answer.returncode == 0, answer.stderr
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return cpu_s, took_s, float(answer.stdout.split()[-1])
+
+
+@pytest.mark.benchmark_figures
+def test_ten_million_rows_are_prepared_and_learned_from(robots, tmp_path):
+    """Peaks are asserted, since they are the promise; times are shown."""
+    learn = ("train", "robot=mgr", "model=mlp", "seeds=1", "register=false", "pictures=false")
+    figures = {}
+    for times in (10, 100):
+        rows = repeated(tmp_path / f"rows_{times}", robots["mgr"], times)
+        prepared = (f"recording=rows_{times}", f"output=prepared_{times}")
+        figures[rows] = {
+            "prepared": called(tmp_path, "prepare", "robot=mgr", *prepared),
+            "learned from": called(tmp_path, *learn, f"transitions=prepared_{times}", f"output=model_{times}"),
+            "prepared and learned from": called(tmp_path, *learn, prepared[0], f"output=recorded_{times}"),
+        }
+    few, many = figures
+    for what, (cpu_s, took_s, peak_mib) in figures[many].items():
+        few_cpu_s, _, few_peak_mib = figures[few][what]
+        print(
+            f"\n{many:,} rows {what}: {took_s:.0f} s, {cpu_s:.0f} s of CPU, {cpu_s / few_cpu_s:.1f} times those of "
+            f"{few:,}; peak memory {peak_mib:,.0f} MiB, {peak_mib / few_peak_mib:.2f} times",
+            end="",
+        )
+        assert peak_mib < 2e9 / 2**20
+    print()
