@@ -1,6 +1,7 @@
 """The catalogue is that of the design, each mechanism says what it is, and does nothing where it is neutral."""
 
 import string
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,7 +118,8 @@ def test_what_makes_no_sense_for_a_robot_is_not_offered(robots):
 def test_parameters_are_those_of_the_actuator(robots):
     backlash, asymmetry = mechanism_class("backlash"), mechanism_class("actuator_asymmetry")
     assert set(backlash.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"travel_mm"}
-    assert set(backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"travel_rad"}
+    fin = backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))
+    assert set(fin) == {"travel_rad", "missing", "servo_rad_s"}
     assert set(asymmetry.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"ratio"}
     assert set(asymmetry.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"angle_rad"}
     assert set(asymmetry.parameters_of(robots["car"], conditions_of(robots["car"]))) == {"angle_rad"}
@@ -128,6 +130,18 @@ def test_parameters_are_those_of_the_actuator(robots):
         mechanism_class("saturation").parameters_of(robots["create"], conditions_of(robots["create"]))["limit"].unit
         == "mm/s"
     )
+
+
+def test_a_fin_with_play_steers_late_by_what_its_servo_needs_to_take_it_up(robots):
+    mur = robots["mur"]
+    situation = situation_of(mur, np.random.default_rng(1))
+    situation = replace(situation, earlier_command=situation.previous_command)
+    late = {"travel_rad": 0.2, "missing": 0.0, "servo_rad_s": 5.0}  # 40 ms of a period of 0.8 s
+    measured, _ = moved(mur, "backlash", situation, **late)
+    command = situation.command.clone()
+    command[:, 0] += 0.05 * (situation.previous_command[:, 0] - command[:, 0])
+    _, simulated = moved(mur, "backlash", replace(situation, command=command), **{**late, "travel_rad": 0.0})
+    torch.testing.assert_close(measured, simulated, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE - {"timing_jitter"}))

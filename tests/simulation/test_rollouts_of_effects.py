@@ -179,7 +179,7 @@ class Backlash(FineWorld):
 
 class FinBacklash(FineWorld):
     def received(self, command):
-        less = math.degrees(self.values["travel_rad"]) / 2
+        less = self.values["missing"] * math.degrees(self.values["travel_rad"]) / 2
         return np.column_stack([command[:, 0], np.maximum(command[:, 1] - less, 0), command[:, 2]])
 
 
@@ -263,7 +263,7 @@ EFFECTS = {
 OF_A_FIN = {
     "actuator_asymmetry": (Trim, {"angle_rad": 0.15}),
     "actuator_lag": (SettingLag, {"time_constant_s": 0.25}),
-    "backlash": (FinBacklash, {"travel_rad": 0.2}),
+    "backlash": (FinBacklash, {"travel_rad": 0.2, "missing": 0.6}),
     "command_delay": (Delay, {"delay_s": 0.2}),
 }
 COMMANDS = {

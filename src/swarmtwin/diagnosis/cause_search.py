@@ -13,9 +13,14 @@ from swarmtwin.diagnosis.settings import SearchSettings
 from swarmtwin.simulation.mechanism import Mechanism
 
 
-def needed_nats(settings: SearchSettings, transitions: int) -> float:
-    """Return the evidence that makes a cause as probable as none: prior odds, and what is too little to matter."""
-    return math.log((1 - settings.prior) / settings.prior) + settings.least_nats_a_transition * transitions
+def prior_log_odds(settings: SearchSettings) -> float:
+    """Return the log of the odds against a cause beforehand."""
+    return math.log((1 - settings.prior) / settings.prior)
+
+
+def too_little_nats(settings: SearchSettings, transitions: int) -> float:
+    """Return by how many nats a cause changes a session's likelihood that is too small to matter."""
+    return settings.least_nats_a_transition * transitions
 
 
 @dataclass(frozen=True)
@@ -131,11 +136,25 @@ class CauseSearch:
     def _log_odds_against(self, one: EstimatedSet) -> float:
         """Return the log of a set's odds beforehand, each cause's gain counted from where it begins to matter.
 
-        A further cause begins to matter where it gains more than what another form of those beside it would.
+        A further cause begins to matter where it gains more than what another form of those beside it would. One that
+        the clock shows has nothing that is fitted, and picks up no form.
         """
         count, gained = len(one.names), one.evidence - self._fit(()).evidence
-        further = self.settings.least_share_beside * max(gained, 0.0) * max(count - 1, 0)
-        return count * needed_nats(self.settings, len(self.model.session)) + further
+        fitted = sum(not self.model.read_off_clock(kind) for kind in one.fitted.kinds)
+        further = self.settings.least_share_beside * max(gained, 0.0) * max(fitted - 1, 0)
+        too_little = self._share_of_evidence(one) * too_little_nats(self.settings, len(self.model.session))
+        return count * (prior_log_odds(self.settings) + too_little) + further
+
+    def _share_of_evidence(self, one: EstimatedSet) -> float:
+        """Return the share of what a set changes that is evidence for it, and no difference of units.
+
+        What matters is what a cause changes, and little of that is evidence where other units may differ by as much.
+        """
+        if not self.model.strange:
+            return 1.0
+        nothing = self._fit(()).fitted
+        changed = ((one.fitted.whitened - nothing.whitened) ** 2).sum(axis=1) @ self.model.weight / 2
+        return min(max(one.fitted.total - nothing.total, 0.0) / changed, 1.0) if changed > 0 else 1.0
 
     def _gained_by_usual_loss(self, one: EstimatedSet) -> float:
         """Return the nats that a set with lost commands gains by as many as the reference seems to lose: no news."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from swarmtwin.diagnosis.cause_search import needed_nats
+from swarmtwin.diagnosis.cause_search import prior_log_odds, too_little_nats
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.gains import confirmed_from
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving, loses_commands
@@ -85,7 +85,8 @@ class _Limits:
         settings = self.model.settings.search
         searched = len(explained.posterior.nothing.fitted.residual)
         self.share_searched = searched / len(self.model.session)
-        self.needed = needed_nats(settings, searched) + math.log(settings.named_from / (1 - settings.named_from))
+        self.needed = prior_log_odds(settings) + math.log(settings.named_from / (1 - settings.named_from))
+        self.too_little = too_little_nats(settings, searched)
         if beside:
             gained = explained.posterior.best.evidence - explained.posterior.nothing.evidence
             self.needed += settings.least_share_beside * max(gained, 0.0)
@@ -109,13 +110,16 @@ class _Limits:
 
     def of_loss(self, kind: MechanismClass) -> DetectionLimit:
         """Return the limit of a mechanism that loses commands."""
-        return loss_limit(kind, self.model, self.needed, self.power, self.share_searched, self.unfitted)
+        return loss_limit(
+            kind, self.model, self.needed + self.too_little, self.power, self.share_searched, self.unfitted
+        )
 
     def _proportional_size(self, one: Candidate) -> float:
         """Return the size from which on a cause would be seen if its effect grew in proportion."""
         first = one.columns[:, :1]
         length = math.sqrt(max(float(self.around.gram(first)[0, 0]), 1e-12))
-        return (math.sqrt(2 * self.needed) + self.power) * abs(next(iter(one.off.values()))) / length
+        needed = self.needed + self.too_little
+        return (math.sqrt(2 * needed) + self.power) * abs(next(iter(one.off.values()))) / length
 
     def _limit(self, name: str, cause: SizedCause, size: float, rivals: Rivals, rounds: int = 5) -> FoundLimit:
         """Let a cause grow, or shrink, until it would just be named: by the secant of logarithms."""
@@ -141,7 +145,8 @@ class _Limits:
         change = self.around.change(mechanism)
         length = math.sqrt(max(float(self.around.gram(change[:, None])[0, 0]), 1e-12))
         whole = math.sqrt(self.share_searched)
-        seen = (math.sqrt(2 * (self.needed + price)) + self.power) / (whole * length)
+        needed = self.needed + price + self.too_little * self._share_of_evidence(change, length)
+        seen = (math.sqrt(2 * needed) + self.power) / (whole * length)
         rival, apart = self._nearest(change, mechanism.name, rivals)
         told = 2 * self.power / (whole * apart)
         confirmed = 0.0
@@ -149,6 +154,12 @@ class _Limits:
             moved = self.unfitted.errors([*self.around.arriving, mechanism]) - self._without
             confirmed = confirmed_from(self._error, moved, self.unfitted.session.run)
         return max(seen, told, confirmed), rival if told > max(seen, confirmed) else None
+
+    def _share_of_evidence(self, change: np.ndarray, length: float) -> float:
+        """Return what share of a change (3 N,) is evidence, its length known, where other units may differ by it."""
+        if not self.model.strange:
+            return 1.0
+        return min(length**2 / max(float(np.repeat(self.model.weight, 3) @ change**2), 1e-12), 1.0)
 
     def _nearest(
         self, change: np.ndarray, name: str, rivals: Rivals, alike: float = 0.7, tried: int = 2

@@ -1,6 +1,5 @@
 """Step 3, its end: whether the motion is more random than the reference's, beyond what sessions differ by."""
 
-import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -50,15 +49,12 @@ def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]
     usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
-    grown = settings.growth_spread * model.reference_noise.log_from_usual(model.motion)
-    wrong = float(
-        (model.filter(model.disagreement) ** 2).sum(axis=-1).mean()
-    )  # of the simulation, in its noise's units
-    return float(np.linalg.norm([usual, grown, math.log1p(wrong) / 2, _share_of_motion(model, mechanisms)]))
+    unlike = model.reference_noise.log_from_usual(model.motion), _share_of_motion(model, mechanisms)
+    return float(np.linalg.norm([usual, *(settings.growth_spread * each for each in unlike)]))
 
 
 def _share_of_motion(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
-    """Return what share of way and turn mechanisms change, root mean square: by as much they may change the noise."""
+    """Return what share of way and turn mechanisms change, root mean square: the log by which motion is unlike."""
     change = (model.predictor.twist(arriving(mechanisms)) - model.simulated).numpy()
     changed, moved = ((twist[:, [0, 2]] ** 2).mean(axis=0) for twist in (change, model.motion))
     return float(np.sqrt(changed / np.maximum(moved, 1e-12)).max())

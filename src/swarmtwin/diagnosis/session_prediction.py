@@ -23,7 +23,7 @@ from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import one_member
-from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import FOLLOWING, SETTING, end_memory, period_motion, remembered_after_two
 
@@ -216,7 +216,7 @@ class SessionPredictor:
             mechanisms = [mechanism for mechanism in mechanisms if mechanism not in late]
             changing += late
         for mechanism in mechanisms:
-            sent, given = given, [mechanism.transform_command(command, moment) for command in given]
+            sent, given = given, passed_on(mechanism, given, moment)
             if any(one is not other for one, other in zip(given, sent, strict=True)):
                 changing.append(mechanism)
         if "velocity" in self.base.inputs and (delaying := late_or_gradual(mechanisms)):

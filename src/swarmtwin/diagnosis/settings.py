@@ -175,9 +175,11 @@ class SearchSettings(StrictModel):
     Attributes:
         prior: probability of each cause to be there.
         least_nats_a_transition: that a cause must bring to matter: less is left to what nobody knows exactly. A gain of
-            0.005 lowers errors by about 0.2 %.
+            0.005 lowers errors by about 0.2 %. Where other units may differ by as much, only a share of what a cause
+            changes is evidence, and as much of this is asked for.
         least_share_beside: likewise, of what a set gains, for each cause beyond the first: no form is exact, and one
-            that is wrong by a seventh of its effect leaves that share to whatever picks it up.
+            that is wrong by a seventh of its effect leaves that share to whatever picks it up. Not for one that the
+            clock shows: nothing of it is fitted.
         most_causes: in one set.
         most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
         grid_points: of each mechanism's grid, where it is screened.
@@ -212,12 +214,12 @@ class MotionNoiseSettings(StrictModel):
 
     Attributes:
         usual_spread: standard deviation between sessions of one vehicle in which nothing is wrong.
-        usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact; with the
-            share of the motion that these change, as noise may go with it.
+        usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact.
         usual_spread_with_momentum: likewise of a simulation that goes on from its own velocity: what that gets wrong
             lasts for some periods, and is told from the noise of motion and camera only so well.
-        growth_spread: likewise for each unit of the log by which vehicles move less or more than in the reference:
-            noise grows as a power of the motion that lies between 0 and 1, uniform there, whatever else was learned.
+        growth_spread: likewise for each unit of the log by which vehicles move less or more than in the reference,
+            and of the share of the motion that other causes change: noise grows as a power of the motion that lies
+            between 0 and 1, uniform there, whatever else was learned.
         changed_spread: where this is a cause.
     """
 

@@ -6,7 +6,7 @@ vehicles at a time; tensors are float64.
 """
 
 from abc import ABC
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
@@ -241,6 +241,10 @@ class Mechanism(StrictModel, ABC):
 
     # supply and actuators
 
+    def mean_command(self, command: Tensor, previous: Tensor, moment: Moment) -> Tensor:
+        """Return the commands (N, m) that are in force on average in a period, `previous` (N, m) in the one before."""
+        return command
+
     def supply_gain(self, moment: Moment) -> Tensor | None:
         """Return the factor on the actuators' speed, (N or 1, 1), or (N or 1, 2) for left and right; None: 1."""
         return None
@@ -326,6 +330,13 @@ def offered(robot: Robot, conditions: SessionConditions) -> dict[str, type[Mecha
 def in_signal_order(chosen: Iterable[Mechanism]) -> tuple[Mechanism, ...]:
     """Return mechanisms in the order of the signal chain; by name within a stage."""
     return tuple(sorted(chosen, key=lambda one: (STAGES.index(one.stage), one.name)))
+
+
+def passed_on(mechanism: Mechanism, commands: Sequence[Tensor], moment: Moment) -> list[Tensor]:
+    """Return the commands (N, m) that a mechanism makes of some, the present ones first; the last were held before."""
+    given = [mechanism.transform_command(command, moment) for command in commands]
+    befores = [*given[1:], given[-1]]
+    return [mechanism.mean_command(command, before, moment) for command, before in zip(given, befores, strict=True)]
 
 
 def wheel_travel(twist: Tensor, track_mm: float) -> Tensor:

@@ -19,7 +19,7 @@ from swarmtwin.robot import SituationPart
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import period_motion, remembered_after_long, remembered_after_two
 from swarmtwin.simulation.state import State
@@ -347,11 +347,9 @@ class Simulation(nn.Module):
 
     def _twists(self, moment: Moment, commands: Sequence[Tensor]) -> BaseTwists:
         """Prepare to ask the dynamics model for commands (N, m) as sent."""
-        given = []
-        for command in commands:
-            for mechanism in self.mechanisms:
-                command = mechanism.transform_command(command, moment)
-            given.append(command)
+        given = list(commands)
+        for mechanism in self.mechanisms:
+            given = passed_on(mechanism, given, moment)
         nominal = any(mechanism.follows_clock() for mechanism in self.mechanisms)
         return BaseTwists(self.dynamics, moment, given, clock_is_nominal=nominal)
 

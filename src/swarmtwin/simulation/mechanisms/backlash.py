@@ -14,12 +14,14 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_
 class Config(Mechanism):
     """A gear has play, which is taken up anew after each reversal.
 
-    A wheel carries on which side the play lies; of a fin that beats to and fro, half of the play is missing from its
-    amplitude.
+    A wheel carries on which side the play lies. A fin that beats to and fro takes it up in each stroke: up to half of
+    it is missing from the amplitude, and another angle is steered to when the servo has taken it up.
 
     Attributes:
         travel_mm: of wheels, at the rim.
         travel_rad: of a fin's joint.
+        missing: share of half of it that is missing from a fin's amplitude; None: all.
+        servo_rad_s: speed at which a fin's servo takes it up, sold with 0.05 to 0.26 s for 60 degrees; None: at once.
     """
 
     stage: ClassVar = "actuators"
@@ -31,6 +33,8 @@ class Config(Mechanism):
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None
     travel_rad: float | None = None
+    missing: float | None = None
+    servo_rad_s: float | None = None
 
     @classmethod
     def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
@@ -49,14 +53,28 @@ class Config(Mechanism):
         if not efforts or efforts[0].unit != "deg":
             return {}
         high = math.radians(efforts[0].high)
-        return {"travel_rad": Parameter(0.0, high, 0.0, "rad", (0.05, 0.2), 0.01)}
+        return {
+            "travel_rad": Parameter(0.0, high, 0.0, "rad", (0.05, 0.2), 0.01),
+            "missing": Parameter(0.0, 1.0, None, "", (0.25, 0.75), 0.02, is_doubted_at_ends=False),
+            "servo_rad_s": Parameter(4.0, 21.0, None, "rad/s", (7.0, 14.0), 0.2, is_doubted_at_ends=False),
+        }
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
-        """Take half of the play from the amplitude of a fin."""
+        """Take a share of half of the play from the amplitude of a fin."""
         if self.travel_rad is None:
             return command
-        half_deg = math.degrees(self.travel_rad) / 2
+        half_deg = math.degrees(self.travel_rad) / 2 * (1.0 if self.missing is None else self.missing)
         return change_effort(command, moment, lambda effort: (effort - half_deg).clamp(min=0.0))
+
+    def mean_command(self, command: Tensor, previous: Tensor, moment: Moment) -> Tensor:
+        """Let a fin steer as before until the play is taken up."""
+        robot = moment.robot
+        if self.travel_rad is None or self.servo_rad_s is None or robot.actuation.steering is None:
+            return command
+        column, late = robot.command_columns.index(robot.actuation.steering), self.travel_rad / self.servo_rad_s
+        changed = command.clone()
+        changed[:, column] += late / robot.period_s * (previous[:, column] - command[:, column])
+        return changed
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
         """Return how much of its play each wheel has taken up ahead, (N, 2) mm: in the middle where it stood."""
