@@ -8,6 +8,7 @@ import torch
 from exact_base import SPREAD, ExactBase, Losing, known_noise, session_of
 
 from exact_model import TRACK_MM
+from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
@@ -98,6 +99,19 @@ def test_the_better_units_are_known_the_smaller_is_a_gap(robots):
     moved = of_wheels(0.9, 0.9)
     assert nats(model_of(robots["mgr"], moved, "2"), "gain_change", gain=1.0) < NAMED / 3
     assert nats(model_of(robots["mgr"], moved, "2", unit_spread=0.01), "gain_change", gain=1.0) > 2 * NAMED
+
+
+@pytest.mark.parametrize(("factor", "is_likelier"), [(0.78, True), (0.9, False), (1.0, False)])
+def test_what_another_unit_changes_must_matter_and_the_evidence_tell_it_from_fabrication(robots, factor, is_likelier):
+    """More than four standard deviations of fabrication are named, two are not: the prior leaves little evidence."""
+    model = model_of(robots["mgr"], of_wheels(factor, factor), "2")
+    search = CauseSearch(model, {"gain_change": mechanism_class("gain_change")})
+    posterior = search.run()
+    assert (posterior.probability("gain_change") > 0.9) == is_likelier
+    slower = estimate(model, [mechanism_class("gain_change").at({"gain": 1.0})])
+    nothing = estimate(model, [])
+    too_little = model.settings.search.least_nats_a_transition * len(model.session)
+    assert slower.evidence - nothing.evidence < NAMED + too_little  # not enough, were all that it changes evidence
 
 
 def test_what_is_left_of_a_strange_unit_is_noise(robots):
