@@ -1,3 +1,4 @@
+import fcntl
 import os
 import shutil
 import signal
@@ -30,6 +31,40 @@ def pytest_collection_modifyitems(items):
     items[:] = ordered + others
 
 
+@pytest.fixture(scope="session", autouse=True)
+def unhurried_databases():
+    """Let databases of these processes not wait for the disk at each commit: no test survives a power cut anyway."""
+    from sqlalchemy import Engine, event
+
+    @event.listens_for(Engine, "connect")
+    def hurry(connection, record):
+        if "sqlite" in type(connection).__module__:
+            connection.execute("PRAGMA synchronous = OFF")
+
+    yield
+    event.remove(Engine, "connect", hurry)
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """Make a folder that all processes of a test run read from: `make` fills it in the first that asks for it."""
+
+    def made(name, make):
+        shared = tmp_path_factory.getbasetemp()
+        shared = shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared
+        folder, done = shared / name, shared / f"{name}.done"
+        with (shared / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not done.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                make(folder)
+                done.touch()
+        return folder
+
+    return made
+
+
 @pytest.fixture(scope="session")
 def robots():
     """All shipped robots by name."""
@@ -39,13 +74,11 @@ def robots():
 
 
 @pytest.fixture(scope="session")
-def empty_store(tmp_path_factory):
+def empty_store(made_once):
     """A database as swarmtwin makes it for MLflow, with nothing in it yet."""
     from swarmtwin.tracking import store
 
-    database = tmp_path_factory.mktemp("store") / "mlflow.db"
-    store._make_database(database)
-    return database
+    return made_once("store", lambda folder: store._make_database(folder / "mlflow.db")) / "mlflow.db"
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import shutil
 from pathlib import Path
 from typing import NamedTuple
 
-import mlflow
 import pytest
 
 from swarmtwin.commands.app import run_command
@@ -17,7 +16,7 @@ RECORDINGS = {
     "open_loop": ("vehicle=1", "runs=3", "steps=30", "seed=3"),
     "pair": ("vehicle=[1,2]", "runs=6", "steps=20", "seed=4"),
 }
-TRAINING = ("recipe.batch_size=128", "seeds=1", "register=false")
+TRAINING = ("recipe.batch_size=128", "seeds=1", "register=false", "trainer.logger=none")
 MODELS = {
     "mlp": ("model=mlp", "model.steps=150"),
     "kinematic": ("model=kinematic", "model.steps=150"),
@@ -39,20 +38,22 @@ def run(*arguments):
 
 
 @pytest.fixture(scope="session")
-def library(tmp_path_factory):
+def library(made_once, empty_store):
     """A folder to read from: recordings by name, models/ trained on `reference`, and an MLflow store without a run."""
-    folder = tmp_path_factory.mktemp("library")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.delenv("MLFLOW_TRACKING_URI", raising=False)
-        patch.setattr(Physics, "bank_rows", 4096)
-        mlflow.MlflowClient(f"sqlite:///{folder / 'mlflow.db'}").search_registered_models()
-        shutil.copy("mlflow.db", "empty.db")
-        for name, options in RECORDINGS.items():
-            assert run("record", *options, f"output={name}") == 0
-        for name, options in MODELS.items():
-            assert run("train", "recording=reference", *TRAINING, *options, f"output=models/{name}") == 0
-    return folder
+
+    def make(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            patch.delenv("MLFLOW_TRACKING_URI", raising=False)
+            patch.setattr(Physics, "bank_rows", 4096)
+            shutil.copy(empty_store, "mlflow.db")
+            shutil.copy(empty_store, "empty.db")
+            for name, options in RECORDINGS.items():
+                assert run("record", *options, f"output={name}") == 0
+            for name, options in MODELS.items():
+                assert run("train", "recording=reference", *TRAINING, *options, f"output=models/{name}") == 0
+
+    return made_once("library", make)
 
 
 @pytest.fixture

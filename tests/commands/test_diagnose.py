@@ -153,6 +153,8 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
         "train",
         "robot=mgr",
         "model=mlp",
+        "model.steps=400",
+        "trainer.logger=none",
         "seeds=1",
         f"recording={drives / 'reference'}",
         "split.fractions.train=0.6",

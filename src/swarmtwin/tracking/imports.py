@@ -36,14 +36,18 @@ class Code:
         files = sorted(file.relative_to(source.parent) for file in (source / "swarmtwin").rglob("*.py"))
         names = [".".join(file.with_suffix("").parts[1:]).removesuffix(".__init__") for file in files]
         self.paths = dict(zip(names, files, strict=True))
-        trees = {module: ast.parse((source.parent / file).read_text()) for module, file in self.paths.items()}
-        self.empty_files = {
-            self.paths[module] for module, tree in trees.items() if all(_is_docstring(node) for node in tree.body)
-        }
-        nodes = {module: list(ast.walk(tree)) for module, tree in trees.items()}
-        self.plugin_kinds = {module: list(_registries(own)) for module, own in nodes.items()}
-        self._imports = {module: self._imported(module, own) for module, own in nodes.items()}
-        self._named = {module: _named_files(source.parent, self.paths[module], own) for module, own in nodes.items()}
+        self.empty_files: set[Path] = set()
+        self.plugin_kinds: dict[str, list[PluginKind]] = {}
+        self._imports: dict[str, list[str]] = {}
+        self._named: dict[str, list[Path]] = {}
+        for module, file in self.paths.items():  # a tree at a time: Python's garbage collector would go through them all
+            tree = ast.parse((source.parent / file).read_text())
+            if all(_is_docstring(node) for node in tree.body):
+                self.empty_files.add(file)
+            nodes = list(ast.walk(tree))
+            self.plugin_kinds[module] = list(_registries(nodes))
+            self._imports[module] = self._imported(module, nodes)
+            self._named[module] = _named_files(source.parent, file, nodes)
 
     def reached(self, start: str, chosen: Mapping[PluginKind, Sequence[str]], leave_out: Sequence[str]) -> set[Path]:
         """Return the files that a module is made of: itself, what it imports, and so on.

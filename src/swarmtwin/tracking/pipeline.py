@@ -41,15 +41,18 @@ class Pipeline:
 
     Attributes:
         repository: its folder.
-        source: its code.
         stages: by name.
     """
 
     def __init__(self, repository: Path) -> None:
         self.repository = repository
-        self.source = Code(repository / "src")
         self.stages = read_stages(repository)
         self._configurations: dict[str, dict[str, Any]] = {}
+
+    @cached_property
+    def source(self) -> Code:
+        """Its code."""
+        return Code(self.repository / "src")
 
     def is_drawing(self, name: str) -> bool:
         """Say whether a stage draws what others have computed."""
