@@ -34,7 +34,7 @@ from swarmtwin.diagnosis.report.sentences import (
     odds_words,
     verdict_words,
 )
-from swarmtwin.diagnosis.result import CauseSet, Dependence, DetectionLimit, Estimate, Gain
+from swarmtwin.diagnosis.result import CauseSet, Dependence, DetectionLimit, Estimate, Gain, UnitDifference
 from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, read_result, save_findings
 from swarmtwin.kinematics import differential_drive
 from swarmtwin.simulation.conditions import SessionConditions
@@ -204,10 +204,23 @@ def test_nobody_must_know_statistics_to_read_what_is_not_folded_away(tmp_path):
         assert not re.search(rf"\b{jargon}\b", above), jargon
 
 
+OWN_UNIT = UnitDifference(
+    vehicle="7",
+    way=Estimate(value=0.86, low=0.845, high=0.875, unit=""),
+    turn=Estimate(value=1.01, low=0.995, high=1.025, unit=""),
+    usual=0.05,
+)
+
+
 @pytest.mark.parametrize(
     ("verdict", "changes", "sentence"),
     [
         ("no_gap", {}, "Nothing is wrong: the robot does what the simulation says"),
+        (
+            "no_gap",
+            {"units": (OWN_UNIT,)},
+            "Nothing is wrong beyond how units differ: vehicle 7 goes 0.86 times as far",
+        ),
         ("explained", {}, "The robot departs from the simulation because commands act"),
         ("unexplained", {}, "latency; something else is wrong that has no name – look for what changed, or"),
         (

@@ -35,6 +35,7 @@ from swarmtwin.diagnosis.likelihood import (
 )
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.next_recording import next_recording
+from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.recordings.recording import Recording, Track
@@ -108,6 +109,7 @@ def diagnose(
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
+        units=unit_differences(explained),
         detection_limits=tuple(one.limit for one in limits),
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         seed=seed,

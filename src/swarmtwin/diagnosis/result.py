@@ -147,6 +147,29 @@ class NextRecording(StrictModel):
     command: str
 
 
+class UnitDifference(StrictModel):
+    """What a vehicle that the reference does not know does otherwise: no gap, since units differ by fabrication.
+
+    Attributes:
+        vehicle: its id.
+        way: how far it goes ahead, over what is simulated.
+        turn: how far it turns, likewise.
+        usual: standard deviation by which units are expected to differ.
+    """
+
+    vehicle: str
+    way: Estimate
+    turn: Estimate
+    usual: Number
+
+    @property
+    def is_unusual(self) -> bool:
+        """Whether it differs by more than one standard deviation of units, and of chance by two."""
+        return any(
+            abs(one.value - 1.0) > self.usual and not one.low <= 1.0 <= one.high for one in (self.way, self.turn)
+        )
+
+
 class DetectionLimit(StrictModel):
     """The smallest effect of a cause that the session would have shown, and by this name.
 
@@ -187,6 +210,7 @@ class DiagnosisResult(StrictModel):
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
         not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named. Null
             where they do, or where there is none.
+        units: what vehicles that the reference does not know do otherwise by fabrication. Empty in older files.
         detection_limits: for each cause, the smallest that the session would have shown.
         posterior: the leading sets of causes, the most probable first; that of no cause is among them. A changed noise
             is weighed apart. Empty in files that are older.
@@ -207,6 +231,7 @@ class DiagnosisResult(StrictModel):
     transitions: dict[str, int]
     extension: Extension
     not_confirmed: str | None = None
+    units: tuple[UnitDifference, ...] = ()
     detection_limits: tuple[DetectionLimit, ...] = ()
     posterior: tuple[CauseSet, ...] = ()
     seed: int

@@ -40,7 +40,7 @@ class Code:
         self.plugin_kinds: dict[str, list[PluginKind]] = {}
         self._imports: dict[str, list[str]] = {}
         self._named: dict[str, list[Path]] = {}
-        for module, file in self.paths.items():  # a tree at a time: Python's garbage collector would go through them all
+        for module, file in self.paths.items():  # a tree at a time: kept, they would slow the garbage collector down
             tree = ast.parse((source.parent / file).read_text())
             if all(_is_docstring(node) for node in tree.body):
                 self.empty_files.add(file)

@@ -5,7 +5,15 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 
-from swarmtwin.diagnosis.result import Cause, DetectionLimit, DiagnosisResult, Estimate, Gain, NextRecording
+from swarmtwin.diagnosis.result import (
+    Cause,
+    DetectionLimit,
+    DiagnosisResult,
+    Estimate,
+    Gain,
+    NextRecording,
+    UnitDifference,
+)
 from swarmtwin.simulation.mechanism import mechanism_class
 
 SPACE = "\N{NO-BREAK SPACE}"
@@ -109,6 +117,9 @@ def _relative(estimate: Estimate) -> float:
 def verdict_words(diagnosis: DiagnosisResult) -> str:
     """Return in one plain sentence what is wrong and what to do."""
     if diagnosis.verdict == "no_gap":
+        if other := max((one for one in diagnosis.units if one.is_unusual), key=_unlike, default=None):
+            remedy = "calibrate it, or learn the simulation from it as well"
+            return f"Nothing is wrong beyond how units differ: {unit_words(other)}{DASH}{remedy}."
         return "Nothing is wrong: the robot does what the simulation says, within its ordinary noise; go on with it."
     found = [f"{wrong}{DASH}{remedy}" for wrong, remedy in _wrong_and_to_do(diagnosis.causes)]
     because = enumeration(found, "; ", "; and because ")
@@ -120,6 +131,16 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
             f"name{DASH}{_look_at(diagnosis)}."
         )
     return f"The robot departs from the simulation, and no known cause explains it{DASH}{_look_at(diagnosis)}."
+
+
+def unit_words(unit: UnitDifference) -> str:
+    """Return in words how far a vehicle goes and turns of its own."""
+    way, turn = (value_words("factor", one) for one in (unit.way, unit.turn))
+    return f"vehicle {unit.vehicle} goes {way} times as far and turns {turn} times as much as simulated"
+
+
+def _unlike(unit: UnitDifference) -> float:
+    return max(abs(unit.way.value - 1.0), abs(unit.turn.value - 1.0))
 
 
 def _look_at(diagnosis: DiagnosisResult) -> str:

@@ -1,0 +1,40 @@
+"""Step 4. What vehicles that the reference does not know do otherwise by fabrication: it is told, and no gap."""
+
+import math
+
+import numpy as np
+
+from swarmtwin.diagnosis.explanation import Explanation
+from swarmtwin.diagnosis.likelihood import arriving, loses_commands
+from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
+from swarmtwin.diagnosis.result import Estimate, UnitDifference
+
+
+def unit_differences(explained: Explanation) -> tuple[UnitDifference, ...]:
+    """Return how far each vehicle that the reference does not know goes and turns, over what is simulated.
+
+    By the likeliest sizes of the random effects of units beside the causes found, and how sure these are; over all of
+    the session's motion, least squares.
+    """
+    model, best = explained.model, explained.best
+    if not model.strange:
+        return ()
+    is_lossy = loses_commands(best.fitted.kinds)
+    effects = model.effects if is_lossy else model.effects_with(best.mechanisms)
+    directions, sizes = np.stack(list(unit_effects(model)), axis=-1), effects.sizes(best.fitted.whitened)
+    motion = model.predictor.twist(arriving(best.mechanisms)).numpy()
+    transitions, told = model.session.transitions, []
+    for vehicle in model.strange:
+        own = transitions.vehicle == transitions.vehicles.index(vehicle)
+        way, turn = (_factor(effects, sizes, directions[own, axis], motion[own, axis]) for axis in (0, 2))
+        told.append(UnitDifference(vehicle=vehicle, way=way, turn=turn, usual=model.unit_spread))
+    return tuple(told)
+
+
+def _factor(effects: RandomEffects, sizes: np.ndarray, directions: np.ndarray, motion: np.ndarray) -> Estimate:
+    """Return the factor on motion (n,) along one axis that sizes (K,) of effects with directions (n, k) amount to."""
+    count = directions.shape[1]
+    share = motion @ directions / max(float(motion @ motion), 1e-12)
+    value = 1.0 + float(share @ sizes[:count])
+    half = 1.96 * math.sqrt(float(share @ effects.inverse[:count, :count] @ share))
+    return Estimate(value=value, low=value - half, high=value + half, unit="")
