@@ -211,7 +211,7 @@ def test_the_place_of_an_edge_is_known_as_well_as_it_says(robots):
         model = SessionLikelihood(base, known_noise(), session_of(base, rng, moved))
         begun = kind.at({"x_mm": 530.0, "y_mm": 470.0, "radius_mm": 170.0, "loss": 0.3})
         first = estimate(model, [begun])
-        found = estimate(model.explained_by(first.mechanisms), first.mechanisms, polish=True, smooth=True)
+        found = estimate(model.explained_by(first.mechanisms), first.mechanisms, polish=True, final=True)
         away.append((found.values[:3] - true) / np.sqrt(np.diag(found.covariance))[:3])
     assert np.sqrt(np.mean(np.square(away))) < 1.6, away
 

@@ -50,7 +50,7 @@ def _member_changes(model: SessionLikelihood) -> np.ndarray:
         model.filter(model.changes_of(model.predictor.with_member(member).twist(()))[..., None])[..., 0]
         for member in range(model.members)
     ]
-    return np.array(changes) if changes else np.empty((0, len(model.session), 3))
+    return np.array(changes) - np.mean(changes, axis=0) if changes else np.empty((0, len(model.session), 3))
 
 
 def dependence_tests(

@@ -71,19 +71,20 @@ class EstimatedSet:
 
 
 def estimate(
-    model: SessionLikelihood, start: Sequence[Mechanism], polish: bool = False, smooth: bool = False
+    model: SessionLikelihood, start: Sequence[Mechanism], polish: bool = False, final: bool = False
 ) -> EstimatedSet:
     """Return a set of mechanisms with its likeliest values, searched from those that `start` has.
 
     Args:
         model: of the session.
         start: the mechanisms.
-        polish: whether to search a little around the end where the motion changes by jumps,
-        smooth: and to return the values of a smooth surface through the likelihood there, with what these differ by
-            over resampled runs: slopes say little there.
+        polish: whether to search a little around the end where the motion changes by jumps.
+        final: whether to take slopes from the whole simulation, not from one member of what is quick in its place; and
+            where the motion changes by jumps, the values of a smooth surface through the likelihood there, with what
+            these differ by over resampled runs: slopes say little there.
     """
     kinds = [type(mechanism) for mechanism in start]
-    search = _Search(model, kinds)
+    search = _Search(model, kinds, is_exact=final)
     values = search.clipped(model.values(start))
     if loses_commands(kinds):
         values = search.by_likelihood(values)
@@ -91,7 +92,7 @@ def estimate(
         values = search.by_least_squares(values)
         if polish and not all(kind.is_smooth for kind in kinds):
             found = search.estimated(search.polished(values))
-            return search.smoothed(found) if smooth else found
+            return search.smoothed(found) if final else found
     return search.estimated(values)
 
 
@@ -117,8 +118,9 @@ def with_uncertain_simulation(model: SessionLikelihood, found: EstimatedSet) -> 
 class _Search:
     """The parameters of kinds of mechanisms, and what a session says of them."""
 
-    def __init__(self, model: SessionLikelihood, kinds: Sequence[MechanismClass]) -> None:
+    def __init__(self, model: SessionLikelihood, kinds: Sequence[MechanismClass], is_exact: bool = False) -> None:
         self.model, self.kinds, self.settings = model, kinds, model.settings.estimation
+        self.is_exact = is_exact
         parameters = [parameter for _, _, parameter in model.parameters(kinds)]
         self.low, self.high = (np.array([getattr(one, end) for one in parameters], float) for end in ("low", "high"))
         self.step = np.array([one.response_step for one in parameters], float)
@@ -143,8 +145,9 @@ class _Search:
             moved = values.copy()
             inside = values[index] + self.step[index] <= self.high[index]
             moved[index] += self.step[index] if inside else -self.step[index]
-            changed = self.model.whitened_near(self.at(moved), near).ravel()
-            columns.append((changed - here) / (moved[index] - values[index]))
+            there = self.at(moved)
+            changed = self.model.whitened(there) if self.is_exact else self.model.whitened_near(there, near)
+            columns.append((changed.ravel() - here) / (moved[index] - values[index]))
         return np.stack(columns, axis=-1)
 
     def by_least_squares(self, values: np.ndarray) -> np.ndarray:

@@ -131,7 +131,7 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
     """
     usual = usual or Usual()
     refined = model.explained_by(posterior.best.mechanisms)
-    best = with_uncertain_simulation(refined, estimate(refined, posterior.best.mechanisms, polish=True, smooth=True))
+    best = with_uncertain_simulation(refined, estimate(refined, posterior.best.mechanisms, polish=True, final=True))
     gained = best.fitted.total - refined.evaluate([]).total
     noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
     return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise)

@@ -83,6 +83,8 @@ class SessionLikelihood(SessionErrors):
         discrepancy: what the simulation gets wrong of its own reference as well; None: nothing is known of that.
         settings: of the diagnosis; None: the defaults.
         explained: mechanisms that are known to be there, so that the noise is that of what they leave.
+        quick: answers nearly as the simulation, in a fraction of its time, where only differences are asked; None: it
+            answers itself.
     """
 
     def __init__(
@@ -95,8 +97,9 @@ class SessionLikelihood(SessionErrors):
         discrepancy: Discrepancy | None = None,
         settings: DiagnosisSettings | None = None,
         explained: Sequence[Mechanism] = (),
+        quick: DynamicsModel | None = None,
     ) -> None:
-        super().__init__(base, noise, session, known_vehicles, unit_spread, settings, explained)
+        super().__init__(base, noise, session, known_vehicles, unit_spread, settings, explained, quick)
         self._discrepancy = discrepancy
 
     @cached_property

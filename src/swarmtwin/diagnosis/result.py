@@ -19,7 +19,7 @@ SHAPE_TESTS = ("spread", "tails")
 
 
 def _significant(value: float) -> float:
-    return float(f"{value:.6g}")
+    return float(f"{value:.6g}") + 0.0  # never −0
 
 
 Number = Annotated[float, AfterValidator(_significant)]

@@ -35,6 +35,7 @@ class SessionErrors:
         unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
         settings: of the diagnosis; None: the defaults.
         explained: mechanisms that are known to be there, so that the noise is that of what they leave.
+        quick: answers nearly as the simulation, in a fraction of its time; None: it answers itself.
     """
 
     def __init__(
@@ -46,13 +47,15 @@ class SessionErrors:
         unit_spread: float | None = None,
         settings: DiagnosisSettings | None = None,
         explained: Sequence[Mechanism] = (),
+        quick: DynamicsModel | None = None,
     ) -> None:
         self.explained = tuple(explained)
         self.session, self.reference_noise, self.robot = session, noise, base.robot
         self.settings = settings or DiagnosisSettings()
         self.has_momentum = "velocity" in base.inputs
         self.members: int = getattr(base, "members", 0)
-        self.predictor = SessionPredictor(base, session.conditions, session.situation, session.follows, session.sent)
+        given = session.conditions, session.situation, session.follows, session.sent
+        self.predictor = SessionPredictor(base, *given, quick)
         self.simulated = self.predictor.twist(())
         self._measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
         self.strange = tuple(

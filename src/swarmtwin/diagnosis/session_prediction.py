@@ -58,6 +58,8 @@ class SessionPredictor:
         situation: N measured situations, float64, whose previous and earlier commands are known.
         follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
         sent: the commands as they were sent; None where each is sent at the beginning of its period.
+        quick: answers nearly as the base, in a fraction of its time, where only differences are asked: between members,
+            and between mechanisms; None: the base itself.
         answers: of the base so far, by the mechanisms that change what it is asked; those of the last few are kept.
         twists: (N, 3) that were asked for, by the mechanisms; those of the last few are kept.
     """
@@ -67,12 +69,13 @@ class SessionPredictor:
     situation: Situation
     follows: np.ndarray
     sent: SentCommands | None = None
+    quick: DynamicsModel | None = None
     answers: dict[tuple[str, ...], Answers] = field(default_factory=lambda: {(): Answers()})
     twists: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
 
     def with_member(self, member: int) -> "SessionPredictor":
-        """Return it with one member of the base in the place of the mean of all."""
-        base = one_member(self.base, member)  # type: ignore[arg-type]
+        """Return it with one member of the base in the place of the mean of all, what is quick in the base's place."""
+        base = one_member(self.quick or self.base, member)  # type: ignore[arg-type]
         return SessionPredictor(base, self.conditions, self.situation, self.follows, self.sent)
 
     def moment(self) -> Moment:

@@ -164,6 +164,7 @@ def learn(
     seed: int,
     weight: np.ndarray | None = None,
     training: EnsembleTraining | None = None,
+    members: int | None = None,
 ) -> Ensemble:
     """Train one member a fold by least squares, each on all rows but those of its fold.
 
@@ -171,15 +172,16 @@ def learn(
         groups: the input columns that each part looks at.
         inputs: (N, columns), about 1 in size.
         outputs: (N, d).
-        fold: (N,) numbers from 0, whole runs in a fold.
+        fold: (N,) numbers from 0, whole runs in a fold; −1 for rows that all members learn from.
         seed: of weights and batches.
         weight: (N, d) how much each number counts, or None.
         training: how; None: the defaults.
+        members: how many; None: one a fold.
     """
     how = training or EnsembleTraining()
     many = len(inputs) >= how.many_rows
     batch, steps = (how.batch_size_of_many, how.steps_of_many) if many else (how.batch_size, how.steps)
-    members = int(fold.max()) + 1
+    members = members or int(fold.max()) + 1
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

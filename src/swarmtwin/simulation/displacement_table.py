@@ -40,7 +40,7 @@ class TableError(NamedTuple):
 
 
 class DisplacementTable(DynamicsModule):
-    """Displacements at a grid of commands, linear between them; commands beyond their limits count as these.
+    """Displacements at a grid of commands, linear between them; commands beyond its ends count as these.
 
     Attributes:
         table: (points, …, points, 3) forward_mm, left_mm, turn_rad; an axis for each of the command's m columns.
@@ -51,7 +51,14 @@ class DisplacementTable(DynamicsModule):
     _low: Tensor
     _step: Tensor
 
-    def __init__(self, dynamics: DynamicsModel, settings: TableSettings, asked: int = 20_000, seed: int = 0) -> None:
+    def __init__(
+        self,
+        dynamics: DynamicsModel,
+        settings: TableSettings,
+        asked: int = 20_000,
+        seed: int = 0,
+        beyond: float = 0.0,
+    ) -> None:
         """Ask a dynamics model at the grid, and at random commands to see how far the table is off.
 
         Args:
@@ -59,6 +66,7 @@ class DisplacementTable(DynamicsModule):
             settings: how fine, and how far off it may be.
             asked: random commands.
             seed: of these.
+            beyond: share of the limits' distance by which the table goes on beyond each; its points are over all of it.
 
         Raises:
             UserError: the model looks at more than the command or states a spread of its own, or the table would be too
@@ -69,12 +77,13 @@ class DisplacementTable(DynamicsModule):
         self.motion_noise = getattr(dynamics, "motion_noise", None)
         low, high = (torch.as_tensor(end) for end in (self.robot.command_low, self.robot.command_high))
         self._check_size(dynamics, len(low), settings)
-        axes = [torch.linspace(float(a), float(b), settings.points) for a, b in zip(low, high, strict=True)]
+        first, last = low - beyond * (high - low), high + beyond * (high - low)
+        axes = [torch.linspace(float(a), float(b), settings.points) for a, b in zip(first, last, strict=True)]
         grid = torch.cartesian_prod(*axes).reshape(-1, len(low))
         answers = dynamics.predict(Situation(grid)).float()
         self.register_buffer("table", answers.reshape(*[settings.points] * len(low), 3))
-        self.register_buffer("_low", low.float())
-        self.register_buffer("_step", ((high - low) / (settings.points - 1)).float())
+        self.register_buffer("_low", first.float())
+        self.register_buffer("_step", ((last - first) / (settings.points - 1)).float())
         drawn = torch.rand(asked, len(low), generator=torch.Generator().manual_seed(seed))
         self.error = self._compared(dynamics, low.float() + drawn * (high - low).float())
         self._check_error(settings)

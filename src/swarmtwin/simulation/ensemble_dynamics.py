@@ -143,11 +143,11 @@ class CorrectedDynamics(DynamicsModule):
     Attributes:
         robot: whose motion it predicts.
         inputs: the parts of a situation that it looks at.
-        dynamics: the trained model.
+        dynamics: the trained model, or what answers in its place.
         correction: added to its twists; None: nothing.
     """
 
-    def __init__(self, dynamics: NetworkDynamics, correction: EnsembleDynamics | None) -> None:
+    def __init__(self, dynamics: DynamicsModule, correction: EnsembleDynamics | None) -> None:
         super().__init__()
         self.dynamics, self.correction = dynamics, correction
         self.robot = dynamics.robot
@@ -161,6 +161,7 @@ class CorrectedDynamics(DynamicsModule):
 
     def description(self) -> dict[str, Any]:
         """Return what makes it up, without its weights."""
+        assert isinstance(self.dynamics, NetworkDynamics)  # what answers in its place is in no simulation that is kept
         return {
             "kind": "simulation",
             "model": self.dynamics.config.model_dump(mode="json"),
