@@ -86,7 +86,8 @@ def _track_mm(dynamics: DynamicsModel, trial: TrialCommands) -> float | None:
 def _own_lags(dynamics: DynamicsModel, trial: TrialCommands, longest: float = 1.0) -> tuple[float, float, float]:
     """Return the time constants in periods with which motion follows by itself: what a change of command leaves of it.
 
-    Of thrust each axis has its own: a hull may turn at once and gather way slowly. Wheels have one. Where the model
+    Of thrust each axis has its own: a hull may turn at once and gather way slowly. Wheels have one, of way and turn
+    alike: aside they bring a vehicle next to nowhere, and how that follows is the error of the model. Where the model
     looks at velocity, that tells it of the old twist, and there is no lag beside it.
     """
     if "previous_command" not in dynamics.inputs or "velocity" in dynamics.inputs:
@@ -96,7 +97,9 @@ def _own_lags(dynamics: DynamicsModel, trial: TrialCommands, longest: float = 1.
     late = _twist(dynamics, trial.previous_command, trial.previous_command, trial.pose) - steady
     size = late.std(dim=0).clamp(min=1e-9)
     along, squares = ((now - steady) * late / size**2).sum(dim=0), (late**2 / size**2).sum(dim=0).clamp(min=1e-9)
-    left = along / squares if dynamics.robot.actuation.kind == "thrust" else (along.sum() / squares.sum()).expand(3)
+    left = along / squares
+    if dynamics.robot.actuation.kind != "thrust":
+        left = (along[[0, 2]].sum() / squares[[0, 2]].sum()).expand(3)
     forward, aside, turn = (_lag_that_leaves(float(share), longest) for share in left)
     return forward, aside, turn
 
