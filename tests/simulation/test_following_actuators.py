@@ -48,6 +48,22 @@ def test_the_lag_of_each_axis_of_thrust_is_read_from_the_model(robots):
     assert conditions.own_lags == pytest.approx(HullOfUnlikeAxes.lags, abs=1e-6)
 
 
+class WheelsThatErrAside(HullOfUnlikeAxes):
+    """Wheels that follow soon, by a model that says they slip aside a little, and for long after."""
+
+    lags = (0.1, 0.6, 0.1)
+
+    def twist(self, command):
+        way, _, turn = super().twist(command).unbind(dim=-1)
+        return torch.stack([way, 0.02 * way, turn], dim=-1)
+
+
+def test_the_lag_of_wheels_is_that_of_way_and_turn(robots):
+    robot = robots["mgr"]
+    conditions = with_actuation(conditions_of(robot), WheelsThatErrAside(robot), seed=1)
+    assert conditions.own_lags == pytest.approx((0.1, 0.1, 0.1), abs=1e-6)
+
+
 class KickedHull(ExactDynamics):
     """A fin whose turn to another angle kicks the hull round at once, whatever it does afterwards."""
 
