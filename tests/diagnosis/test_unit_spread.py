@@ -10,7 +10,6 @@ from exact_base import SPREAD, ExactBase, Losing, known_noise, session_of
 from exact_model import TRACK_MM
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
-from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.own_units import unit_differences
@@ -118,15 +117,16 @@ def test_what_another_unit_changes_must_matter_and_the_evidence_tell_it_from_fab
 
 def test_what_is_a_vehicles_own_is_told_with_its_interval(robots):
     """Of a unit that the reference knows there is nothing to tell."""
-    base = model_of(robots["mgr"], of_wheels(0.94, 0.94), "2")
-    (unit,) = unit_differences(explanation(base, CauseSearch(base, {}).run()))
+    (unit,) = unit_differences(model_of(robots["mgr"], of_wheels(0.94, 0.94), "2"), ())
     assert (unit.vehicle, unit.usual) == ("2", 0.05)
     for factor in (unit.way, unit.turn):
         assert factor.low < 0.94 < factor.high
         assert factor.high - factor.low < 0.02
     assert unit.is_unusual
-    known = model_of(robots["mgr"], of_wheels(0.94, 0.94), "1")
-    assert unit_differences(explanation(known, CauseSearch(known, {}).run())) == ()
+    assert unit_differences(model_of(robots["mgr"], of_wheels(0.94, 0.94), "1"), ()) == ()
+    weaker = [mechanism_class("gain_change").at({"gain": 0.9})]
+    (beside,) = unit_differences(model_of(robots["mgr"], of_wheels(0.94 * 0.9, 0.94 * 0.9), "2"), weaker)
+    assert beside.way.value == pytest.approx(0.94, abs=0.01)
 
 
 def test_what_is_left_of_a_strange_unit_is_noise(robots):

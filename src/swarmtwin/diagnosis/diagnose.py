@@ -109,7 +109,7 @@ def diagnose(
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
-        units=unit_differences(explained),
+        units=unit_differences(explained.model, () if objection else explained.mechanisms),
         detection_limits=tuple(one.limit for one in limits),
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         seed=seed,

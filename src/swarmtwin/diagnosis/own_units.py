@@ -1,28 +1,27 @@
 """Step 4. What vehicles that the reference does not know do otherwise by fabrication: it is told, and no gap."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from swarmtwin.diagnosis.explanation import Explanation
-from swarmtwin.diagnosis.likelihood import arriving, loses_commands
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
 from swarmtwin.diagnosis.result import Estimate, UnitDifference
+from swarmtwin.simulation.mechanism import Mechanism
 
 
-def unit_differences(explained: Explanation) -> tuple[UnitDifference, ...]:
+def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> tuple[UnitDifference, ...]:
     """Return how far each vehicle that the reference does not know goes and turns, over what is simulated.
 
-    By the likeliest sizes of the random effects of units beside the causes found, and how sure these are; over all of
-    the session's motion, least squares.
+    By the likeliest sizes of the random effects of units beside the causes that are named, and how sure these are; over
+    all of the session's motion, least squares.
     """
-    model, best = explained.model, explained.best
     if not model.strange:
         return ()
-    is_lossy = loses_commands(best.fitted.kinds)
-    effects = model.effects if is_lossy else model.effects_with(best.mechanisms)
-    directions, sizes = np.stack(list(unit_effects(model)), axis=-1), effects.sizes(best.fitted.whitened)
-    motion = model.predictor.twist(arriving(best.mechanisms)).numpy()
+    effects = model.effects if loses_commands([type(one) for one in causes]) else model.effects_with(causes)
+    directions, sizes = np.stack(list(unit_effects(model)), axis=-1), effects.sizes(model.evaluate(causes).whitened)
+    motion = model.predictor.twist(arriving(causes)).numpy()
     transitions, told = model.session.transitions, []
     for vehicle in model.strange:
         own = transitions.vehicle == transitions.vehicles.index(vehicle)
