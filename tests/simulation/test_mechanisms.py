@@ -2,6 +2,7 @@
 
 import string
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -142,6 +143,14 @@ def test_a_fin_with_play_steers_late_by_what_its_servo_needs_to_take_it_up(robot
     command[:, 0] += 0.05 * (situation.previous_command[:, 0] - command[:, 0])
     _, simulated = moved(mur, "backlash", replace(situation, command=command), **{**late, "travel_rad": 0.0})
     torch.testing.assert_close(measured, simulated, rtol=0, atol=1e-9)
+
+
+def test_a_fin_with_play_is_at_most_a_period_late(robots):
+    swift = changed(robots["mur"], period_s=0.1, longest_gap_s=0.12)
+    played = mechanism_class("backlash").at({"travel_rad": 1.0, "missing": 0.0, "servo_rad_s": 4.0})  # 250 ms
+    command, previous = torch.tensor([[40.0, 30.0, 6.0]]), torch.tensor([[-20.0, 10.0, 4.0]])
+    acting = played.mean_command(command, previous, SimpleNamespace(robot=swift))
+    torch.testing.assert_close(acting, torch.tensor([[-20.0, 30.0, 6.0]]))
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE - {"timing_jitter"}))

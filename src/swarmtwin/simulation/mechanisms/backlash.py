@@ -71,9 +71,10 @@ class Config(Mechanism):
         robot = moment.robot
         if self.travel_rad is None or self.servo_rad_s is None or robot.actuation.steering is None:
             return command
-        column, late = robot.command_columns.index(robot.actuation.steering), self.travel_rad / self.servo_rad_s
+        column = robot.command_columns.index(robot.actuation.steering)
+        late = min(self.travel_rad / self.servo_rad_s / robot.period_s, 1.0)
         changed = command.clone()
-        changed[:, column] += late / robot.period_s * (previous[:, column] - command[:, column])
+        changed[:, column] += late * (previous[:, column] - command[:, column])
         return changed
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
