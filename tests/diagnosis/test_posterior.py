@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from swarmtwin.diagnosis.cause_report import leading_sets
-from swarmtwin.diagnosis.cause_search import CausePosterior
+from swarmtwin.diagnosis.cause_search import CausePosterior, share_beside
+from swarmtwin.diagnosis.settings import SearchSettings
+from swarmtwin.simulation.mechanism import mechanism_class
 
 ODDS_AGAINST = 3.0
 
@@ -51,3 +53,20 @@ def test_at_most_so_many_sets_are_kept_and_nothing_is_always_one_of_them():
     posterior = posterior_of(**{f"cause{number}": (20.0 + number, 1) for number in range(12)})
     sets = leading_sets(posterior, 8)
     assert [one.causes for one in sets] == [(f"cause{number}",) for number in (11, 10, 9, 8, 7, 6, 5)] + [()]
+
+
+@pytest.mark.parametrize(
+    ("robot", "causes", "share"),
+    [
+        ("mur", ("gain_change",), 0.0),
+        ("mur", ("gain_change", "actuator_lag"), 0.02),
+        ("mur", ("backlash", "actuator_lag"), 0.08),
+        ("mur", ("backlash", "gain_change", "command_delay"), 0.02 + 0.08),
+        ("mur", ("timing_jitter", "actuator_lag", "command_delay"), 0.08),
+        ("mgr", ("backlash", "actuator_lag"), 0.02),
+    ],
+)
+def test_of_thrust_causes_that_say_when_it_follows_tell_less_of_each_other(robots, robot, causes, share):
+    model = SimpleNamespace(robot=robots[robot], read_off_clock=lambda kind: kind is mechanism_class("timing_jitter"))
+    kinds = [mechanism_class(name) for name in causes]
+    assert share_beside(SearchSettings(), model, kinds) == pytest.approx(share)

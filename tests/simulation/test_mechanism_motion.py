@@ -1,6 +1,7 @@
 """What each mechanism does to the motion is what its sentence says, worked out by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,34 @@ def test_lag_of_nothing_is_nothing_and_grows_from_there(robots):
             sizes.append(float((lagging - simulated).norm()))
         assert sizes[1] / sizes[0] == pytest.approx(0.1, abs=0.03)
         assert sizes[2] / sizes[1] == pytest.approx(0.1, abs=0.03)
+
+
+class RecoilingDynamics(ExactDynamics):
+    """The vehicle turns against a fin that is thrown from one mean angle to another."""
+
+    inputs = ("command", "previous_command")
+
+    def recoil(self, situation):
+        thrown_rad = torch.deg2rad(situation.command[:, 0] - situation.previous_command[:, 0])
+        return torch.stack([0 * thrown_rad, 0 * thrown_rad, -0.1 * thrown_rad], dim=-1)
+
+    def predict(self, situation):
+        return exp_map(self.twist(situation.command.double()) + self.recoil(situation))
+
+
+@pytest.mark.parametrize("own_s", [0.02, 0.1, 0.4])
+def test_a_fin_that_follows_more_slowly_throws_the_vehicle_less(robots, own_s):
+    robot = robots["mur"]
+    base = RecoilingDynamics(robot)
+    situation = situation_of(robot, np.random.default_rng(4))
+    situation = replace(situation, earlier_command=situation.previous_command)  # what it recoiled from is over
+    lag = {"time_constant_s": 0.1}
+    plain, slower = (
+        simulation_with(robot, dynamics=base, actuator_lag={**lag, **own}).predict(situation)
+        for own in ({}, {"own_time_constant_s": own_s})
+    )
+    lost = 0.1 / (0.1 + own_s)
+    torch.testing.assert_close(slower[:, 2] - plain[:, 2], -lost * base.recoil(situation)[:, 2], rtol=0, atol=1e-9)
 
 
 def test_drift_is_the_same_in_the_arena_whatever_the_heading(robots):

@@ -121,6 +121,10 @@ def test_parameters_are_those_of_the_actuator(robots):
     assert set(backlash.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"travel_mm"}
     fin = backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))
     assert set(fin) == {"travel_rad", "missing", "servo_rad_s"}
+    lag = mechanism_class("actuator_lag")
+    assert set(lag.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"time_constant_s"}
+    own = {"time_constant_s", "own_time_constant_s"}
+    assert set(lag.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == own
     assert set(asymmetry.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"ratio"}
     assert set(asymmetry.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"angle_rad"}
     assert set(asymmetry.parameters_of(robots["car"], conditions_of(robots["car"]))) == {"angle_rad"}

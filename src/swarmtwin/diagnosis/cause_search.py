@@ -23,6 +23,18 @@ def too_little_nats(settings: SearchSettings, transitions: int) -> float:
     return settings.least_nats_a_transition * transitions
 
 
+def share_beside(settings: SearchSettings, model: SessionLikelihood, kinds: Sequence[MechanismClass]) -> float:
+    """Return the share of what a set of causes gains that is no evidence for those beyond the first.
+
+    No form is exact, least of all that of how thrust follows. One that the clock shows has nothing that is fitted, and
+    picks up no form.
+    """
+    fitted = [kind for kind in kinds if not model.read_off_clock(kind)]
+    late = sum(kind.says_when for kind in fitted) if model.robot.actuation.kind == "thrust" else 0
+    beside, beside_late = max(len(fitted) - 1, 0), max(late - 1, 0)
+    return settings.least_share_beside * (beside - beside_late) + settings.least_share_late * beside_late
+
+
 @dataclass(frozen=True)
 class CausePosterior:
     """Sets of causes with their evidence.
@@ -136,12 +148,10 @@ class CauseSearch:
     def _log_odds_against(self, one: EstimatedSet) -> float:
         """Return the log of a set's odds beforehand, each cause's gain counted from where it begins to matter.
 
-        A further cause begins to matter where it gains more than what another form of those beside it would. One that
-        the clock shows has nothing that is fitted, and picks up no form.
+        A further cause begins to matter where it gains more than what another form of those beside it would.
         """
         count, gained = len(one.names), one.evidence - self._fit(()).evidence
-        fitted = sum(not self.model.read_off_clock(kind) for kind in one.fitted.kinds)
-        further = self.settings.least_share_beside * max(gained, 0.0) * max(fitted - 1, 0)
+        further = share_beside(self.settings, self.model, one.fitted.kinds) * max(gained, 0.0)
         too_little = self._share_of_evidence(one) * too_little_nats(self.settings, len(self.model.session))
         return count * (prior_log_odds(self.settings) + too_little) + further
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from swarmtwin.diagnosis.cause_search import prior_log_odds, too_little_nats
+from swarmtwin.diagnosis.cause_search import prior_log_odds, share_beside, too_little_nats
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.gains import confirmed_from
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving, loses_commands
@@ -85,11 +85,10 @@ class _Limits:
         settings = self.model.settings.search
         searched = len(explained.posterior.nothing.fitted.residual)
         self.share_searched = searched / len(self.model.session)
-        self.needed = prior_log_odds(settings) + math.log(settings.named_from / (1 - settings.named_from))
+        self._sure = prior_log_odds(settings) + math.log(settings.named_from / (1 - settings.named_from))
         self.too_little = too_little_nats(settings, searched)
-        if beside:
-            gained = explained.posterior.best.evidence - explained.posterior.nothing.evidence
-            self.needed += settings.least_share_beside * max(gained, 0.0)
+        self._beside = [type(one) for one in beside]
+        self._gained = explained.posterior.best.evidence - explained.posterior.nothing.evidence
         self.unfitted = unfitted
         if unfitted:
             self._error = unfitted.errors(arriving(explained.best.mechanisms)) + unfitted.correction
@@ -108,17 +107,23 @@ class _Limits:
         known = Rivals(self.around, rivals)
         return [self._limit(name, cause, size, known) for name, (size, cause) in clearest.items()]
 
+    def _needed(self, kind: MechanismClass) -> float:
+        """Return the nats from which on a mechanism would be named, beside others that are there."""
+        settings, beside = self.model.settings.search, self._beside
+        with_it, without = (share_beside(settings, self.model, kinds) for kinds in ([*beside, kind], beside))
+        return self._sure + (with_it - without) * max(self._gained, 0.0)
+
     def of_loss(self, kind: MechanismClass) -> DetectionLimit:
         """Return the limit of a mechanism that loses commands."""
         return loss_limit(
-            kind, self.model, self.needed + self.too_little, self.power, self.share_searched, self.unfitted
+            kind, self.model, self._needed(kind) + self.too_little, self.power, self.share_searched, self.unfitted
         )
 
     def _proportional_size(self, one: Candidate) -> float:
         """Return the size from which on a cause would be seen if its effect grew in proportion."""
         first = one.columns[:, :1]
         length = math.sqrt(max(float(self.around.gram(first)[0, 0]), 1e-12))
-        needed = self.needed + self.too_little
+        needed = self._needed(one.form) + self.too_little
         return (math.sqrt(2 * needed) + self.power) * abs(next(iter(one.off.values()))) / length
 
     def _limit(self, name: str, cause: SizedCause, size: float, rivals: Rivals, rounds: int = 5) -> FoundLimit:
@@ -145,7 +150,7 @@ class _Limits:
         change = self.around.change(mechanism)
         length = math.sqrt(max(float(self.around.gram(change[:, None])[0, 0]), 1e-12))
         whole = math.sqrt(self.share_searched)
-        needed = self.needed + price + self.too_little * self._share_of_evidence(change, length)
+        needed = self._needed(type(mechanism)) + price + self.too_little * self._share_of_evidence(change, length)
         seen = (math.sqrt(2 * needed) + self.power) / (whole * length)
         rival, apart = self._nearest(change, mechanism.name, rivals)
         told = 2 * self.power / (whole * apart)

@@ -90,11 +90,21 @@ def _directions(model: SessionErrors, most: int = 12) -> Iterator[Mechanism]:
             one.null_value is None and one.unit == "mm" and len(parameters) > 2 for one in parameters.values()
         ):
             continue
-        points = kind.initial_points(model.robot, model.session.conditions)
+        points = _of_plain_form(kind, parameters, kind.initial_points(model.robot, model.session.conditions))
         for index in np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)):
             for name, parameter in parameters.items():
                 if parameter.null_value is not None:
                     yield kind.at({**points[index], **_alone(parameters, name, points[index][name])})
+
+
+def _of_plain_form(
+    kind: type[Mechanism], parameters: Mapping[str, Parameter], points: Sequence[Mapping[str, float]]
+) -> list[dict[str, float]]:
+    """Return points of a grid, each once, without what only says how a mechanism acts, and has a default."""
+    fields = kind.model_fields
+    kept = [name for name, one in parameters.items() if one.null_value is not None or fields[name].is_required()]
+    plain = [{name: point[name] for name in kept} for point in points]
+    return [point for number, point in enumerate(plain) if point not in plain[:number]]
 
 
 def _alone(parameters: Mapping[str, Parameter], name: str, value: float) -> dict[str, float]:

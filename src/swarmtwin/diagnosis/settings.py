@@ -180,6 +180,8 @@ class SearchSettings(StrictModel):
         least_share_beside: likewise, of what a set gains, for each cause beyond the first: no form is exact, and one
             that is wrong by a seventh of its effect leaves that share to whatever picks it up. Not for one that the
             clock shows: nothing of it is fitted.
+        least_share_late: likewise, in its place, for each cause beyond the first that says when a fin or a propeller
+            follows: what a change of its setting does on the way is known to little more than a quarter.
         most_causes: in one set.
         most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
         grid_points: of each mechanism's grid, where it is screened.
@@ -196,6 +198,7 @@ class SearchSettings(StrictModel):
     prior: Share = 0.05
     least_nats_a_transition: NonNegative = 0.005
     least_share_beside: NonNegative = 0.02
+    least_share_late: NonNegative = 0.08
     most_causes: Count = 4
     most_transitions: Count = 6000
     grid_points: Count = 32

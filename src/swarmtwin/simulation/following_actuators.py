@@ -34,12 +34,14 @@ class Following(NamedTuple):
         ends: shares of the period at which its pieces end; the last is 1.
         latency: when the command begins to act.
         added_lag: time constant with which actuators follow it, beyond the lag that they have by themselves.
+        share_of_transient: what is left of what a sudden change of a setting brings about beyond steady motion.
     """
 
     place: int
     ends: tuple[float, ...]
     latency: float
     added_lag: float
+    share_of_transient: float = 1.0
 
     @property
     def shares(self) -> list[float]:
@@ -108,8 +110,8 @@ class Following(NamedTuple):
         """Let twists follow targets (N, 3), one a piece, with the actuators' own lag and more.
 
         The dynamics model's response holds the lag that the actuators have by themselves. It stands where nothing is
-        added: the pieces are shifted by what it differs from a lag of first order, and what their product lacks is
-        corrected.
+        added: the pieces are shifted by what it differs from a lag of first order, or by the share of this that is left
+        where settings no longer change suddenly, and what their product lacks is corrected.
         """
         own_lags = twists.moment.conditions.own_lags
         response, new = supply(twists.response(self.place)), supply(twists.steady(self.place))
@@ -127,7 +129,9 @@ class Following(NamedTuple):
             correction = response - log_map(undisturbed)
         after = [float(end > self.latency) for end in self.ends] if self.latency < 1 else [1.0] * len(pieces)
         held = sum(share for share, acts in zip(self.shares, after, strict=True) if acts)
-        pieces = [piece + learned * (acts / held) for piece, acts in zip(pieces, after, strict=True)]
+        pieces = [
+            piece + learned * (self.share_of_transient * acts / held) for piece, acts in zip(pieces, after, strict=True)
+        ]
         return pieces, correction, ActuatorTwists(twist, reference)
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:

@@ -142,6 +142,7 @@ class Mechanism(StrictModel, ABC):
         parameters: its parameters by field name.
         inputs: parts of the measured situation that a simulation with it must be shown beside the command; those of
             commands before, where it has memory or a delay.
+        says_when: whether it says how late, or how gradually, actuators follow a command.
         is_smooth: whether the motion changes gradually with the parameters.
         is_arrival_alone: whether it decides that commands arrive and nothing else: known what arrived, it does nothing.
     """
@@ -151,6 +152,7 @@ class Mechanism(StrictModel, ABC):
     remedy: ClassVar[str]
     parameters: ClassVar[Mapping[str, Parameter]]
     inputs: ClassVar[tuple[SituationPart, ...]] = ()
+    says_when: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
     is_arrival_alone: ClassVar[bool] = False
 
@@ -252,6 +254,10 @@ class Mechanism(StrictModel, ABC):
     def added_lag_s(self) -> float:
         """Return with which additional time constant the actuators follow, to first order."""
         return 0.0
+
+    def share_of_transient(self) -> float:
+        """Return which share is left of what a sudden change of a setting brings about beyond steady motion."""
+        return 1.0
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
         """Return what it remembers (N, ...) of actuators that have long moved by `twist` (N, 3); None: nothing."""

@@ -5,6 +5,7 @@ that follow gradually, another ground) is integrated piece by piece over the mod
 the model's own answer stands. Twists are per nominal period: (N, 3) forward_mm, left_mm, turn_rad.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -142,7 +143,8 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
     added_lag = sum(mechanism.added_lag_s() for mechanism in mechanisms) / robot.period_s
     inner = {share for mechanism in mechanisms for share in mechanism.breakpoints(robot)}
     ends = (*sorted(share for share in {*inner, latency} if 0.0 < share < 1.0), 1.0)
-    return Following(place, ends, latency, added_lag)
+    transient = math.prod(mechanism.share_of_transient() for mechanism in mechanisms)
+    return Following(place, ends, latency, added_lag, transient)
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:

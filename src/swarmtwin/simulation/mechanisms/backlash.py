@@ -29,6 +29,7 @@ class Config(Mechanism):
     remedy: ClassVar = "check gears, couplings and set screws for play"
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
+    says_when: ClassVar = True
 
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None

@@ -16,6 +16,7 @@ class Config(Mechanism):
     remedy: ClassVar = "check network, broker and camera for latency"
     parameters: ClassVar = {"delay_s": Parameter(0.0, 1.0, 0.0, "s", (0.1,))}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command",)
+    says_when: ClassVar = True
 
     name: Literal["command_delay"] = "command_delay"
     delay_s: float
