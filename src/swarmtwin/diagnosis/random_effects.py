@@ -242,8 +242,9 @@ def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Itera
 
     A dead band may rescale what is left or not, a battery's curve may bend otherwise: another form of the same cause
     is neither unexplained nor a second cause. Without command loss, of which only the likeliest course is looked at.
+    How actuators of thrust follow is known least: their forms differ by more, and to the side as well.
     """
-    share = model.settings.likelihood.form
+    settings, is_thrust = model.settings.likelihood, model.robot.actuation.kind == "thrust"
     functions = smooth_functions(model.session)
     now = model.errors(mechanisms)
     for one in mechanisms:
@@ -251,9 +252,11 @@ def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Itera
         change = now - model.errors(others)
         if not change.any():
             continue
+        is_rough = is_thrust and one.says_when and one.stage == "actuators"
+        share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
         for function in functions[:, 1:].T:
             yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)
-        for axis in (0, 2):
+        for axis in axes:
             alone = np.zeros_like(change)
             alone[:, axis] = change[:, axis]
             yield share * alone
