@@ -134,7 +134,8 @@ class LikelihoodSettings(StrictModel):
         discrepancy: prior standard deviation of each of the simulation's smooth errors, in units of the noise; what the
             reference shows of them is added.
         form: of how a mechanism's form differs from the true one, as a share of what it does.
-        rough_form: likewise, of how fins and propellers follow: what they do on the way to a new setting is known least.
+        rough_form: likewise, of how fins and propellers follow: what they do on the way to a new setting is known
+            least.
     """
 
     discrepancy: Positive = 0.3
