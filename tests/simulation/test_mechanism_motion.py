@@ -116,6 +116,17 @@ def test_a_camera_is_undone_exactly(robots, robot, name, values):
     torch.testing.assert_close(back, situation.pose, rtol=0, atol=LENS_MM if name == "lens_distortion" else 1e-9)
 
 
+def test_where_no_position_is_measured_the_nearest_that_is_was(robots):
+    robot = robots["mgr"]
+    lens, conditions = mechanism_class("lens_distortion").at({"coefficient": -0.3}), conditions_of(robot)
+    corner = torch.tensor([[*robot.arena_mm.high_mm, 0.3]], dtype=torch.float64)  # measured at 0.70 of the way at most
+    seen = lens.to_measured(lens.from_measured(corner, conditions), conditions)
+    middle = conditions.centre_mm
+    share = (seen[:, :2] - middle).norm() / (corner[:, :2] - middle).norm()
+    assert float(share) == pytest.approx(2 / 3 / math.sqrt(0.9), rel=1e-6)
+    assert float(seen[0, 2]) == 0.3
+
+
 def test_a_scaled_camera_scales_ways_and_no_turns(robots):
     robot = robots["mgr"]
     measured, simulated = moved(robot, "camera_scale", situation_of(robot, np.random.default_rng(7)), scale=1.3)

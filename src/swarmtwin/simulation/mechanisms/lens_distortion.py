@@ -1,5 +1,6 @@
 """The scale changes with the distance from the image's centre."""
 
+import math
 from typing import ClassVar, Literal
 
 import torch
@@ -29,12 +30,14 @@ class Config(Mechanism):
         return torch.cat([conditions.centre_mm + away * factor * conditions.corner_mm, pose[:, 2:]], dim=-1)
 
     def from_measured(self, pose: Tensor, conditions: SessionConditions) -> Tensor:
-        """Move positions back, by Newton's method."""
+        """Move positions back, by Newton's method; what no position is measured as, to the nearest that is."""
         away = (pose[:, :2] - conditions.centre_mm) / conditions.corner_mm
         measured = away.norm(dim=-1, keepdim=True)
-        radius = measured
+        furthest = 1.0 / math.sqrt(3.0 * max(-self.coefficient, 1e-6))  # beyond it, measured positions come back
+        radius = measured.clamp(max=furthest)
         for _ in range(20):  # enough for the strongest distortion that the bounds allow
             slope = (1.0 + 3.0 * self.coefficient * radius**2).clamp(min=0.05)
-            radius = radius - (radius * (1.0 + self.coefficient * radius**2) - measured) / slope
+            missing = measured - radius * (1.0 + self.coefficient * radius**2)
+            radius = (radius + missing / slope).clamp(max=furthest)
         true = conditions.centre_mm + away * (radius / measured.clamp(min=1e-12)) * conditions.corner_mm
         return torch.cat([true, pose[:, 2:]], dim=-1)
