@@ -1,5 +1,6 @@
 """The catalogue is that of the design, each mechanism says what it is, and does nothing where it is neutral."""
 
+import itertools
 import string
 from dataclasses import replace
 from types import SimpleNamespace
@@ -191,3 +192,18 @@ def test_a_patch_is_sought_in_the_arena_that_was_recorded_in(robots):
     for (name, field), high in bounds.items():
         parameter = mechanism_class(name).parameters_of(robots["mgr"], conditions)[field]
         assert parameter.high == pytest.approx(high)
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_motion_is_finite_in_every_corner_of_the_bounds_and_outside_the_arena(robots, robot, name):
+    robot = robots[robot]
+    conditions, rng = conditions_of(robot), np.random.default_rng(2)
+    wide = {axis: (low - 150, high + 150) for axis, (low, high) in robot.arena_mm.model_dump().items()}
+    situation = situation_of(changed(robot, arena_mm=wide), rng)
+    kind = mechanism_class(name)
+    bounds = kind.parameters_of(robot, conditions)
+    for ends in itertools.product(*((one.low, one.high) for one in bounds.values())):
+        values = {**dict(zip(bounds, ends, strict=True)), **_observed(kind, robot)}
+        measured, _ = moved(robot, name, situation, **values)
+        assert torch.isfinite(measured).all(), values
