@@ -71,7 +71,7 @@ class Explanation:
         for value, (_, _, parameter) in zip(self.best.values, self.model.parameters(kinds), strict=True):
             if not parameter.is_doubted_at_ends:
                 continue
-            ends = (end for end in (parameter.low, parameter.high) if parameter.null_value != end)
+            ends = {parameter.low, parameter.high} - {parameter.null_value, parameter.all_of_it}
             if any(abs(value - end) < nearest * parameter.size for end in ends):
                 return True
         return False
