@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from exact_base import ExactBase, known_noise, session_of
 
-from exact_model import LaggingDynamics
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
 from swarmtwin.simulation.mechanism import mechanism_class
@@ -65,15 +64,9 @@ def test_the_determinant_is_that_by_which_the_covariance_grows(effects, covarian
     assert np.isclose(effects.log_determinant, grown)
 
 
-class LaggingBase(LaggingDynamics):
-    """One that follows gradually by itself."""
-
-    members = 0
-
-
-def explained_by_units(robot, name, base=ExactBase, **values):
+def explained_by_units(robot, name, **values):
     """The share of what a mechanism changes that the differences between units can take over."""
-    base = base(robot)
+    base = ExactBase(robot)
     session = session_of(base, np.random.default_rng(2), vehicle="2")
     model = SessionLikelihood(base, known_noise(), session, known_vehicles=("1",))
     columns = np.stack(list(unit_effects(model)), axis=-1).reshape(3 * len(session), -1)
@@ -86,15 +79,6 @@ def test_units_of_a_fin_differ_in_speed_trim_and_how_far_they_beat(robots):
     assert explained_by_units(robots["mur"], "gain_change", gain=1.05) > 0.99
     assert explained_by_units(robots["mur"], "actuator_asymmetry", angle_rad=0.02) > 0.99
     assert explained_by_units(robots["mur"], "backlash", travel_rad=0.02) > 0.99
-
-
-@pytest.mark.parametrize("robot", ["mgr", "mur"])
-def test_units_that_follow_gradually_differ_by_how_gradually(robots, robot):
-    at_once, gradual = (
-        1 - explained_by_units(robots[robot], "actuator_lag", base, time_constant_s=0.01)
-        for base in (ExactBase, LaggingBase)
-    )
-    assert gradual < 0.4 * at_once
 
 
 def test_units_with_wheels_do_not_differ_by_where_they_are(robots):

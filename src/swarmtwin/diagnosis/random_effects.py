@@ -156,8 +156,8 @@ def _unit_effects(model: SessionErrors, center: Tensor, commands: tuple[Tensor, 
     transitions = model.session.transitions
     for vehicle in model.strange:
         own = torch.as_tensor(transitions.vehicle == transitions.vehicles.index(vehicle))[:, None]
-        given = model.predictor, center, model.session, commands
-        for change in unit_changes(*given) + unit_starts(*given) + unit_lags(model.predictor, commands):
+        changes = unit_changes(model.predictor, center, model.session, commands)
+        for change in changes + unit_starts(model.predictor, center, model.session, commands):
             twist = center + torch.where(own, change, torch.zeros_like(change)) * model.unit_spread
             yield model.changes_of(twist, center)
 
@@ -229,17 +229,6 @@ def unit_starts(
     ahead = torch.zeros_like(twist)
     ahead[:, :1] = _of_one_size(twist[:, :1])
     return [ahead]
-
-
-def unit_lags(predictor: SessionPredictor, commands: tuple[Tensor, Tensor]) -> list[Tensor]:
-    """Return by what simulated twists (N, 3) change per unit of how much more gradually a unit follows its commands.
-
-    To first order that is what the simulation leaves of the command before; none where it does not look at it.
-    """
-    if "previous_command" not in predictor.base.inputs or "velocity" in predictor.base.inputs:
-        return []
-    command, previous = commands
-    return [predictor.base_twist(command, previous) - predictor.base_twist(command, command)]
 
 
 def _of_one_size(way: Tensor) -> Tensor:

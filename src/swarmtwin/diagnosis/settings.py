@@ -91,9 +91,9 @@ class UnitSettings(StrictModel):
 
     Attributes:
         spread: standard deviation, as a share, of a unit's speeds, of its left-right difference (of a trim, in rad),
-            of how gradually it follows, and of what it is faster by at any speed since it starts to move at a smaller
-            command, where nothing else is known: cheap gear motors are sold with ±10 %, two standard deviations. It is
-            for any robot; a robot's file states its own where units were measured.
+            and of what it is faster by at any speed since it starts to move at a smaller command, where nothing else
+            is known: cheap gear motors are sold with ±10 %, two standard deviations. It is for any robot; a robot's
+            file states its own where units were measured.
         prior_units: how many units that prior counts for against those that a reference has recorded.
     """
 
