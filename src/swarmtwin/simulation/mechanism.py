@@ -36,8 +36,8 @@ class Parameter(NamedTuple):
         unit: what it is measured in; empty for a ratio.
         initial_values: values that a search begins from.
         step: change for which the motion's response is measured; None: a thousandth of the bounds' distance.
-        all_of_it: upper bound beyond which nothing can be; a cause that runs there is not doubted. None: beyond the upper
-            bound it may be as well.
+        all_of_it: upper bound beyond which nothing can be; a cause that runs there is not doubted. None: beyond the
+            upper bound it may be as well.
         is_doubted_at_ends: whether a cause that runs to a bound is doubted, since beyond it may fit better; not of a
             place, which is where the arena ends.
     """
