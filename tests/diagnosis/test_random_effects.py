@@ -5,7 +5,7 @@ import pytest
 from exact_base import ExactBase, known_noise, session_of
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
+from swarmtwin.diagnosis.random_effects import RandomEffects, form_effects, unit_effects
 from swarmtwin.simulation.mechanism import mechanism_class
 
 COUNT = 20
@@ -84,3 +84,16 @@ def test_units_of_a_fin_differ_in_speed_trim_and_how_far_they_beat(robots):
 def test_units_with_wheels_do_not_differ_by_where_they_are(robots):
     assert explained_by_units(robots["mgr"], "gain_change", gain=1.05) > 0.99
     assert explained_by_units(robots["mgr"], "steady_drift", x_mm_s=2.0, y_mm_s=0.0) < 0.1
+
+
+@pytest.mark.parametrize(("robot", "share", "axes"), [("mgr", 0.05, {0, 2}), ("mur", 0.1, {0, 1, 2})])
+def test_how_thrust_follows_is_known_least_and_to_the_side_as_well(robots, robot, share, axes):
+    base = ExactBase(robots[robot])
+    session = session_of(base, np.random.default_rng(2))
+    model = SessionLikelihood(base, known_noise(), session)
+    late = [mechanism_class("actuator_lag").at({"time_constant_s": 0.1})]
+    change = model.errors(late) - model.errors([])
+    alone = list(form_effects(model, late))[-len(axes) :]
+    for axis, form in zip(sorted(axes), alone, strict=True):
+        np.testing.assert_allclose(form[:, axis], share * change[:, axis])
+        assert not np.delete(form, axis, axis=1).any()

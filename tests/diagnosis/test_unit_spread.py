@@ -18,7 +18,8 @@ from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
 from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
 from swarmtwin.robot import Robot
-from swarmtwin.simulation.mechanism import mechanism_class, twist_of_wheels, wheel_travel
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
+from swarmtwin.simulation.mechanism import mechanism_class
 
 NAMED = 5.1
 """Nats by which a cause with prior odds of 1 : 19 has a probability of 90 %."""

@@ -9,7 +9,8 @@ import torch
 
 from exact_model import ExactDynamics, conditions_of, moved, simulation_with, situation_of
 from swarmtwin.geometry import compose, exp_map, log_map, rotate
-from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names, wheel_travel
+from swarmtwin.simulation.efforts import wheel_travel
+from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names
 
 ROBOTS = ("mgr", "mur", "create")
 LENS_MM = 1e-6

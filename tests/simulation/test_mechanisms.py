@@ -138,6 +138,18 @@ def test_parameters_are_those_of_the_actuator(robots):
     )
 
 
+def test_an_end_is_doubted_where_something_may_be_beyond_it(robots):
+    def doubted(robot, name):
+        parameters = mechanism_class(name).parameters_of(robots[robot], conditions_of(robots[robot]))
+        return {field: set(one.doubted) for field, one in parameters.items()}
+
+    assert doubted("mgr", "gain_change")["gain"] == {0.2, 2.5}
+    assert doubted("mgr", "battery_sag")["loss"] == {0.95}  # nothing is lost at the other end
+    assert doubted("mgr", "wall_effect")["loss"] == {-0.5}  # no vehicle loses more than all of its way
+    assert doubted("mgr", "surface_patch")["x_mm"] == set()  # there the arena ends
+    assert doubted("mur", "actuator_lag") == {"time_constant_s": {0.8}, "own_time_constant_s": set()}
+
+
 def test_a_fin_with_play_steers_late_by_what_its_servo_needs_to_take_it_up(robots):
     mur = robots["mur"]
     situation = situation_of(mur, np.random.default_rng(1))

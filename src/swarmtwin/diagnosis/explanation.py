@@ -69,10 +69,7 @@ class Explanation:
         nearest = self.model.settings.verdict.nearest_end
         kinds = [type(one) for one in self.best.mechanisms]
         for value, (_, _, parameter) in zip(self.best.values, self.model.parameters(kinds), strict=True):
-            if not parameter.is_doubted_at_ends:
-                continue
-            ends = {parameter.low, parameter.high} - {parameter.null_value, parameter.all_of_it}
-            if any(abs(value - end) < nearest * parameter.size for end in ends):
+            if any(abs(value - end) < nearest * parameter.size for end in parameter.doubted):
                 return True
         return False
 

@@ -12,7 +12,8 @@ from torch import Tensor
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
-from swarmtwin.simulation.mechanism import Mechanism, twist_of_wheels, wheel_travel
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
+from swarmtwin.simulation.mechanism import Mechanism
 
 
 @dataclass(frozen=True)

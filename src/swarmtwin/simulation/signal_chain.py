@@ -16,8 +16,9 @@ from torch import Tensor
 
 from swarmtwin.geometry import compose, exp_map, log_map, rotate
 from swarmtwin.simulation.base_twists import BaseTwists
+from swarmtwin.simulation.efforts import scaled_by_effort, slowed
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
-from swarmtwin.simulation.mechanism import Mechanism, Moment, scaled_by_effort, slowed
+from swarmtwin.simulation.mechanism import Mechanism, Moment
 
 Memory = Mapping[str, Tensor]
 TWIST, REFERENCE_TWIST, SETTING = "actuator twist", "reference's actuator twist", "actuator setting"

@@ -28,7 +28,7 @@ from scipy import stats
 
 from swarmtwin.deploy.control.settings import WatchSettings
 from swarmtwin.geometry import log_map, wrap_angle
-from swarmtwin.simulation.mechanism import twist_of_wheels, wheel_travel
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.simulation import Simulation
 
 

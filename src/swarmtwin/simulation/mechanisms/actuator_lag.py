@@ -46,7 +46,7 @@ class Config(Mechanism):
         added = {"time_constant_s": Parameter(0.0, period_s, 0.0, "s", begin, 0.01 * period_s)}
         if robot.actuation.kind != "thrust":
             return added
-        own = Parameter(0.0, period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, is_doubted_at_ends=False)
+        own = Parameter(0.0, period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, doubted_ends="none")
         return {**added, "own_time_constant_s": own}
 
     def added_lag_s(self) -> float:

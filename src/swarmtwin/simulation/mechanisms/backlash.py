@@ -8,7 +8,8 @@ from torch import Tensor
 
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort, twist_of_wheels, wheel_travel
+from swarmtwin.simulation.efforts import change_effort, twist_of_wheels, wheel_travel
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):
@@ -56,8 +57,8 @@ class Config(Mechanism):
         high = math.radians(efforts[0].high)
         return {
             "travel_rad": Parameter(0.0, high, 0.0, "rad", (0.05, 0.2), 0.01),
-            "missing": Parameter(0.0, 1.0, None, "", (0.25, 0.75), 0.02, is_doubted_at_ends=False),
-            "servo_rad_s": Parameter(4.0, 21.0, None, "rad/s", (7.0, 14.0), 0.2, is_doubted_at_ends=False),
+            "missing": Parameter(0.0, 1.0, None, "", (0.25, 0.75), 0.02, doubted_ends="none"),
+            "servo_rad_s": Parameter(4.0, 21.0, None, "rad/s", (7.0, 14.0), 0.2, doubted_ends="none"),
         }
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:

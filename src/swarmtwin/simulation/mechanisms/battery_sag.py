@@ -5,7 +5,8 @@ from typing import ClassVar, Literal
 from torch import Tensor
 
 from swarmtwin.robot import Robot, SituationPart
-from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort
+from swarmtwin.simulation.efforts import change_effort
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):

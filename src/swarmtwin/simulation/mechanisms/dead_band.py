@@ -8,7 +8,8 @@ from torch import Tensor
 
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort, effort_limit, effort_unit
+from swarmtwin.simulation.efforts import change_effort, effort_limit, effort_unit
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from swarmtwin.robot import Robot
-from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter, change_effort
+from swarmtwin.simulation.efforts import change_effort
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):

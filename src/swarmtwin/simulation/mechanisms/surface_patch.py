@@ -50,8 +50,12 @@ class Config(Mechanism):
         least = min(width, height)
         step_mm = 0.02 * least
         return {
-            "x_mm": Parameter(arena.x[0], arena.x[1], None, "mm", (arena.x[0] + width / 2,), step_mm, False),
-            "y_mm": Parameter(arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), step_mm, False),
+            "x_mm": Parameter(
+                arena.x[0], arena.x[1], None, "mm", (arena.x[0] + width / 2,), step_mm, doubted_ends="none"
+            ),
+            "y_mm": Parameter(
+                arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), step_mm, doubted_ends="none"
+            ),
             "radius_mm": Parameter(0.05 * least, 0.45 * least, None, "mm", (0.22 * least,), step_mm),
             "loss": Parameter(-0.6, 0.97, 0.0, "", (0.2,), 0.01),
         }

@@ -42,7 +42,7 @@ class Config(Mechanism):
         least = float(min(conditions.arena_mm.high_mm - conditions.arena_mm.low_mm))
         reaches = tuple(reach * least for reach in (0.04, 0.1, 0.2))
         return {
-            "loss": Parameter(-0.5, 1.0, 0.0, "", (0.2,), 0.01, all_of_it=1.0),
+            "loss": Parameter(-0.5, 1.0, 0.0, "", (0.2,), 0.01, doubted_ends="low"),
             "reach_mm": Parameter(0.01 * least, 0.5 * least, None, "mm", reaches, 0.005 * least),
         }
 
