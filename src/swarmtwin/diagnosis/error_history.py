@@ -8,6 +8,7 @@ room's, or in proportion to the motion. No form of the gap has to be guessed for
 import numpy as np
 from scipy.signal import lfilter
 
+from swarmtwin.diagnosis.cross_fitted_ridge import CrossFittedRidge
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.geometry import rotate
@@ -24,10 +25,11 @@ def nats_by_history(model: SessionLikelihood, fitted: FittedMechanisms) -> float
         model: of N transitions.
         fitted: mechanisms, and the errors that they leave.
     """
-    left, clip_z = fitted.residual / fitted.scale, model.settings.flexible.clip_z
-    target, predicted = np.clip(left, -clip_z, clip_z), np.zeros_like(left)
+    left, settings = fitted.residual / fitted.scale, model.settings.flexible
+    target, predicted = np.clip(left, -settings.clip_z, settings.clip_z), np.zeros_like(left)
     for axis, columns in enumerate(running_means(model, target)):
-        predicted[:, axis] = model.flexible.cross_fitted(columns, target[:, axis], model.weight, positive=True)
+        ridge = CrossFittedRidge(columns, model.weight, model.flexible.fold, settings.ridges)
+        (predicted[:, axis],) = ridge.answers(target[:, axis], positive=True)
     before, after = (log_density(one, model.noise.degrees_of_freedom) for one in (left, left - predicted))
     return float((after - before).sum())
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate, with_uncertain_simulation
@@ -63,15 +64,17 @@ class Explanation:
         """Likewise, were the simulation certain."""
         return self._is_too_much(self.left.by_situation, self.left.by_history)
 
-    @property
+    @cached_property
     def _is_at_an_end(self) -> bool:
-        """Whether a parameter is at an end of its range where the cause does something: beyond it may fit better."""
-        nearest = self.model.settings.verdict.nearest_end
-        kinds = [type(one) for one in self.best.mechanisms]
-        for value, (_, _, parameter) in zip(self.best.values, self.model.parameters(kinds), strict=True):
-            if any(abs(value - end) < nearest * parameter.size for end in parameter.doubted):
-                return True
-        return False
+        """Whether a parameter's interval holds an end of its range where the cause does something.
+
+        Beyond it the cause may fit better, or another one that this one stands for.
+        """
+        deviations = stats.norm.ppf((1 + self.model.settings.estimation.interval) / 2)
+        reach = deviations * np.sqrt(np.diag(self.best.covariance))
+        parameters = self.model.parameters([type(one) for one in self.best.mechanisms])
+        estimated = zip(self.best.values, reach, parameters, strict=True)
+        return any(abs(value - end) <= most for value, most, (_, _, one) in estimated for end in one.doubted)
 
     def _is_too_much(self, by_situation: float, by_history: float) -> bool:
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
@@ -83,7 +86,7 @@ class Explanation:
         """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
 
         None where much is left, be it the simulation's uncertainty, where that would gain as much, or where a value
-        runs to the end of what it can be: a name would be made up.
+        may lie at the end of what it can be: a name would be made up.
         """
         if self._may_be_something_left or self.is_uncertain or self._is_at_an_end:
             return ()

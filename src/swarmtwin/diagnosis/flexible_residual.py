@@ -1,12 +1,47 @@
 """What a session's errors depend on at all: a flexible regression, cross-fitted over runs, that knows no mechanism."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
+from swarmtwin.diagnosis.cross_fitted_ridge import CrossFittedRidge
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.settings import FlexibleSettings
+
+
+class FlexibleRegressions:
+    """Regressions of errors whose usual spread is known, prepared for any number of errors.
+
+    Args:
+        columns: (N, q) features,
+        alternatives: of which each alternative looks at these numbers.
+        fold: (N,) numbers of the folds; whole runs.
+        scale: (N, 3) the errors' usual spread.
+        weight: (N,) how much each counts.
+        settings: of the regressions.
+    """
+
+    def __init__(
+        self,
+        columns: np.ndarray,
+        alternatives: Sequence[np.ndarray],
+        fold: np.ndarray,
+        scale: np.ndarray,
+        weight: np.ndarray,
+        settings: FlexibleSettings,
+    ) -> None:
+        self._scale, self._clip_z = scale, settings.clip_z
+        self._axes = [
+            CrossFittedRidge(columns, weight, fold, settings.ridges, 1 / scale[:, axis], alternatives)
+            for axis in range(3)
+        ]
+
+    def predicted(self, errors: np.ndarray) -> list[np.ndarray]:
+        """Return for each alternative what errors (N, 3) are expected to be, (N, 3)."""
+        target = np.clip(errors / self._scale, -self._clip_z, self._clip_z)
+        by_axis = [axis.answers(target[:, number]) for number, axis in enumerate(self._axes)]
+        return [np.column_stack(answers) * self._scale for answers in zip(*by_axis, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -14,11 +49,13 @@ class FlexibleResidual:
     """Features of N measured situations, and the folds that regressions on them are cross-fitted over.
 
     Attributes:
-        families: (N, q) features by what they look at: command, memory, heading, place, time, duration, neighbours.
+        columns: (N, q) features; the first one is 1.
+        families: numbers of those that look at the command, memory, heading, place, time, duration, neighbours.
         fold: (N,) numbers of the folds; whole runs.
         settings: of the regressions.
     """
 
+    columns: np.ndarray
     families: dict[str, np.ndarray]
     fold: np.ndarray
     settings: FlexibleSettings
@@ -89,8 +126,10 @@ class FlexibleResidual:
         neighbours = session.transitions.neighbours
         if neighbours.shape[1]:
             families["neighbours"] = _pushes(neighbours, max(robot.vehicle_size_mm))
-        fold = session.run % settings.folds
-        return cls({name: _standardised(columns) for name, columns in families.items()}, fold, settings)
+        standardised = [np.ones((len(motion), 1)), *(_standardised(columns) for columns in families.values())]
+        ends = np.cumsum([columns.shape[1] for columns in standardised])
+        numbers = {name: np.arange(*ends[index : index + 2]) for index, name in enumerate(families)}
+        return cls(np.concatenate(standardised, axis=1), numbers, session.run % settings.folds, settings)
 
     def predicted(self, errors: np.ndarray, scale: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Return what errors (N, 3) are expected to be by regressions that have not seen their runs, (N, 3).
@@ -100,53 +139,20 @@ class FlexibleResidual:
             scale: (N, 3) their usual spread.
             weight: (N,) how much each counts.
         """
-        columns = np.column_stack([np.ones(len(errors)), *self.families.values()])
-        predicted = np.zeros_like(errors)
-        target = np.clip(errors / scale, -self.settings.clip_z, self.settings.clip_z)
-        for axis in range(3):
-            predicted[:, axis] = self.cross_fitted(columns / scale[:, axis : axis + 1], target[:, axis], weight)
-        return predicted * scale
+        return self._regressions([np.arange(self.columns.shape[1])], scale, weight).predicted(errors)[0]
 
-    def cross_fitted(
-        self, columns: np.ndarray, target: np.ndarray, weight: np.ndarray, positive: bool = False
-    ) -> np.ndarray:
-        """Return ridge regressions' answers (N,), each fold's by the others; of a few ridges those of the best.
+    def alternatives(self, scale: np.ndarray, weight: np.ndarray) -> FlexibleRegressions:
+        """Prepare a regression on everything, and one on each family alone.
 
-        Args:
-            columns: (N, q) what is regressed upon.
-            target: (N,) what is to be answered.
-            weight: (N,) how much each counts.
-            positive: whether no coefficient is below 0.
+        What errors depend on in a small way drowns in what it costs to look at everything else as well.
         """
-        root = np.sqrt(weight)
-        weighted, aim = columns * root[:, None], target * root
-        grams, sides = [], []
-        for fold in range(self.settings.folds):
-            own = self.fold == fold
-            part = weighted[own]
-            grams.append(part.T @ part)
-            sides.append(part.T @ aim[own])
-        gram, side = sum(grams), sum(sides)
-        mean = float(np.trace(gram)) / len(gram)
-        best, least = np.zeros(len(target)), float(weight @ target**2)
-        answers = np.zeros((len(target), len(self.settings.ridges)))
-        for fold in range(self.settings.folds):
-            own = self.fold == fold
-            if not own.any():
-                continue
-            values, vectors = np.linalg.eigh(gram - grams[fold])
-            turned = vectors.T @ (side - sides[fold])
-            for number, ridge in enumerate(self.settings.ridges):
-                precision = np.maximum(values, 0.0) + ridge * mean
-                solution = vectors @ (turned / precision)
-                if positive:
-                    solution = optimize.nnls(np.sqrt(precision)[:, None] * vectors.T, turned / np.sqrt(precision))[0]
-                answers[own, number] = columns[own] @ solution
-        for number in range(len(self.settings.ridges)):
-            left = float(weight @ (target - answers[:, number]) ** 2)
-            if left < least:
-                best, least = answers[:, number], left
-        return best
+        everything = np.arange(self.columns.shape[1])
+        return self._regressions([everything, *(np.append(0, one) for one in self.families.values())], scale, weight)
+
+    def _regressions(
+        self, alternatives: Sequence[np.ndarray], scale: np.ndarray, weight: np.ndarray
+    ) -> FlexibleRegressions:
+        return FlexibleRegressions(self.columns, alternatives, self.fold, scale, weight, self.settings)
 
 
 def random_cosines(inputs: np.ndarray, count: int, rng: np.random.Generator, scale: float) -> np.ndarray:

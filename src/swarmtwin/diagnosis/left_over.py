@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
 
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet
@@ -32,7 +33,7 @@ class LeftOver(NamedTuple):
     """What a set of causes leaves over, in nats on runs that a regression has not seen.
 
     Attributes:
-        by_situation: that a flexible regression on the situation gains.
+        by_situation: that flexible regressions on the situation gain.
         by_history: that one on the errors before gains, beyond what it may gain on the reference.
         uncertainty: that the first one is expected to gain by the simulation's own uncertainty, where that was asked.
         most_uncertainty: that it may gain so at most.
@@ -70,13 +71,17 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
 
 
 def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, errors: np.ndarray) -> float:
-    """Return the nats by which errors (N, 3) are likelier, given what a regression on the situation says of them."""
-    spread = model.noise.spread(model.motion)
-    predicted = model.flexible.predicted(errors, spread, model.weight)
-    residual, expected = (model.filter(one[..., None])[..., 0] for one in (errors, predicted))
-    freedom = model.noise.degrees_of_freedom
-    before, after = (log_density(one / fitted.scale, freedom) for one in (residual, residual - expected))
-    return float((after - before).sum())
+    """Return the nats by which errors (N, 3) are likelier, given what regressions on the situation say of them.
+
+    One looks at all of the situation, the others each at a part of it alone; which of them is right is not known.
+    """
+    freedom, residual = model.noise.degrees_of_freedom, model.filter(errors[..., None])[..., 0]
+    predicted = model.filter(np.stack(model.regressions.predicted(errors), axis=-1))
+    before, *after = (
+        float(log_density(left / fitted.scale, freedom).sum())
+        for left in (residual, *(residual - one for one in np.moveaxis(predicted, -1, 0)))
+    )
+    return float(special.logsumexp(after)) - math.log(len(after)) - before
 
 
 def nats_of_uncertainty(

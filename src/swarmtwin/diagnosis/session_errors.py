@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.diagnosis.flexible_residual import FlexibleResidual
+from swarmtwin.diagnosis.flexible_residual import FlexibleRegressions, FlexibleResidual
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import (
     Noise,
@@ -144,6 +144,11 @@ class SessionErrors:
         """(N,) how much each transition counts in least squares: outliers little."""
         left = self.filter((self._plain_errors - self.expected_errors)[..., None])[..., 0]
         return tail_weights(left, self.noise.degrees_of_freedom)
+
+    @cached_property
+    def regressions(self) -> FlexibleRegressions:
+        """What may be left of errors when causes are taken off, by everything that they may depend on."""
+        return self.flexible.alternatives(self.noise.spread(self.motion), self.weight)
 
     def motion_noise_log(self) -> tuple[float, float]:
         """Return the log of the factor on the motion's standard deviation, and its standard error over runs."""

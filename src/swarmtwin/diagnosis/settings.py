@@ -245,9 +245,8 @@ class VerdictSettings(StrictModel):
         alarm_nats_a_transition: and for each transition.
         uncertainty_draws: of the simulation's own error, for what it would leave over where nothing is wrong.
         uncertainty_spreads: standard deviations over draws by which that may lie above their mean.
-        most_left: of what the causes gain that may be left over: another form of the same causes leaves as much.
+        most_left: of what the causes gain that may be left over: as a form leaves that is wrong by a fifth.
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
-        nearest_end: share of its range by which a parameter must lie off its ends, for its cause to be named.
         gain_draws: bootstraps over runs for the gain's interval.
         immaterial: share of an error by which it may rise on held-out runs where another one falls.
     """
@@ -257,9 +256,8 @@ class VerdictSettings(StrictModel):
     alarm_nats_a_transition: NonNegative = 0.002
     uncertainty_draws: Count = 12
     uncertainty_spreads: NonNegative = 2.0
-    most_left: Share = 0.1
+    most_left: Share = 0.04
     most_lasting: Share = 0.03
-    nearest_end: Share = 0.01
     gain_draws: Count = 1000
     immaterial: Share = 0.01
 
