@@ -9,6 +9,7 @@ from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.left_over import nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import exp_map
 
@@ -50,9 +51,9 @@ class LearnedBase(DynamicsModule):
         return exp_map(self.twist(situation))
 
 
-def likelihood(robot, sure, moved=as_simulated, seed=3):
+def likelihood(robot, sure, moved=as_simulated, seed=3, size=0.35):
     session = session_of(ExactBase(robot), np.random.default_rng(seed), moved)
-    return SessionLikelihood(LearnedBase(robot, sure), known_noise(), session)
+    return SessionLikelihood(LearnedBase(robot, sure, size), known_noise(), session)
 
 
 def explained(model):
@@ -87,3 +88,20 @@ def test_a_simulation_of_one_member_is_taken_as_certain(robots):
     base = ExactBase(robots["mgr"])
     model = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(1)))
     assert not nats_of_uncertainty(model, model.evaluate([]), model.disagreement, 3).any()
+
+
+def test_what_depends_on_little_is_not_drowned_by_all_that_errors_might_depend_on(robots):
+    """A floor that is brushed one way: vehicles go 1 % farther along it and less against it."""
+
+    def brushed(moment):
+        along = torch.cos(moment.pose[:, 2:] - 0.7)
+        return exp_map(moment.way * torch.cat([1 + 0.014 * along, torch.ones_like(along), torch.ones_like(along)], 1))
+
+    model = likelihood(robots["mgr"], sure=True, moved=brushed, size=0.0)
+    found, nothing = explained(model), model.evaluate([])
+    errors = model.errors_left([]) - nothing.effect_errors
+    predicted = model.flexible.predicted(errors, model.noise.spread(model.motion), model.weight)
+    residual = model.filter(np.stack([errors, errors - predicted], axis=-1)) / nothing.scale[:, None]
+    by_everything = np.diff([log_density(one, None).sum() for one in np.moveaxis(residual, -1, 0)])[0]
+    assert by_everything < found.alarm < found.left.by_situation
+    assert found.verdict == "unexplained"

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from exact_base import SPREAD, ExactBase, known_noise, session_of
+from exact_base import SPREAD, ExactBase, as_it_is, known_noise, session_of, still
 
-from swarmtwin.diagnosis.noise import Noise, inverse_adjoint, log_density, right_jacobian
+from swarmtwin.diagnosis.noise import Noise, inverse_adjoint, likeliest_scales, log_density, right_jacobian
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
 
 
@@ -110,6 +110,35 @@ def test_the_cameras_part_is_told_from_the_motions(robots, share):
         for apart in (1, 2):
             assert abs(neighbouring(scaled[:, axis], session, apart)) < 0.06
     np.testing.assert_allclose(scaled.std(axis=0), 1.0, atol=0.05)
+
+
+class Disturbed:
+    """What disturbs a way disturbs the next one by a fifth as much."""
+
+    def __init__(self, seed, size):
+        self.rng, self.size, self.last = np.random.default_rng(seed), torch.as_tensor(size), 0.0
+
+    def __call__(self, moment):
+        """True displacements (R, 3)."""
+        new = self.size * torch.as_tensor(self.rng.normal(size=moment.way.shape))
+        self.last = new + (0.0 if moment.step == 0 else 0.2 * self.last)
+        return exp_map(moment.way + self.last)
+
+
+def test_a_camera_that_errs_more_is_told_from_the_motion_where_lasting_disturbances_hid_it(robots):
+    base, spread = SlidingBase(robots["mgr"]), np.array(SPREAD)
+
+    def session(seed, camera):
+        disturbed = Disturbed(seed, 2 * spread)
+        return session_of(base, np.random.default_rng(seed), disturbed, as_it_is, still, camera * spread, runs=200)
+
+    reference, alike, blurred = session(1, 0.5), session(2, 0.5), session(3, 2.0)
+    noise = Noise.learn(*errors_and_way(base, reference), reference)
+    assert np.all(np.sqrt(noise.camera) < 0.35 * spread)  # hidden: neighbouring errors are alike
+    scales = [likeliest_scales(noise, *errors_and_way(base, one), one, spread=1.0) for one in (alike, blurred)]
+    assert scales[0].motion == pytest.approx(1.0, abs=0.1)
+    assert scales[1].motion == pytest.approx(1.0, abs=0.3)  # what lasts takes a part of it
+    assert np.sqrt(noise.scaled(scales[1]).camera) == pytest.approx(2.0 * spread, rel=0.3)
 
 
 def test_unlike_wheels_make_way_ahead_and_turn_go_together(robots):

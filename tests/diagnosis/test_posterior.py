@@ -5,9 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from exact_model import conditions_of
 from swarmtwin.diagnosis.cause_report import leading_sets
 from swarmtwin.diagnosis.cause_search import CausePosterior, share_beside
-from swarmtwin.diagnosis.settings import SearchSettings
+from swarmtwin.diagnosis.explanation import Explanation
+from swarmtwin.diagnosis.left_over import LeftOver
+from swarmtwin.diagnosis.settings import DiagnosisSettings, SearchSettings
 from swarmtwin.simulation.mechanism import mechanism_class
 
 ODDS_AGAINST = 3.0
@@ -70,3 +73,23 @@ def test_of_thrust_causes_that_say_when_it_follows_tell_less_of_each_other(robot
     model = SimpleNamespace(robot=robots[robot], read_off_clock=lambda kind: kind is mechanism_class("timing_jitter"))
     kinds = [mechanism_class(name) for name in causes]
     assert share_beside(SearchSettings(), model, kinds) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "named"),
+    [
+        (0.93, 0.005, True),  # far from the end by its own measure
+        (0.93, 0.02, False),  # it may as well be the end, and more
+        (0.60, 0.25, True),  # hardly known, but in the middle
+        (0.95, 0.001, False),
+    ],
+)
+def test_a_cause_that_cannot_be_told_from_the_end_of_its_range_is_not_named(robots, value, error, named):
+    kind = mechanism_class("battery_sag")
+    settings = DiagnosisSettings()
+    parameters = [(0, "loss", kind.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))["loss"])]
+    model = SimpleNamespace(settings=settings, parameters=lambda kinds: parameters, session=range(4000))
+    covariance = np.array([[error**2]])
+    best = SimpleNamespace(mechanisms=[kind], names=("battery_sag",), values=np.array([value]), covariance=covariance)
+    explained = Explanation(model, posterior_of(battery_sag=(300.0, 1)), best, 300.0, LeftOver(0.0, 0.0), None)
+    assert explained.names == (("battery_sag",) if named else ())

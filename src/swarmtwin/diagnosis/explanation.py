@@ -66,15 +66,18 @@ class Explanation:
 
     @cached_property
     def _is_at_an_end(self) -> bool:
-        """Whether a parameter's interval holds an end of its range where the cause does something.
+        """Whether a parameter cannot be told from an end of its range where the cause does something, and is near it.
 
         Beyond it the cause may fit better, or another one that this one stands for.
         """
-        deviations = stats.norm.ppf((1 + self.model.settings.estimation.interval) / 2)
+        settings, kinds = self.model.settings, [type(one) for one in self.best.mechanisms]
+        deviations = stats.norm.ppf((1 + settings.estimation.interval) / 2)
         reach = deviations * np.sqrt(np.diag(self.best.covariance))
-        parameters = self.model.parameters([type(one) for one in self.best.mechanisms])
-        estimated = zip(self.best.values, reach, parameters, strict=True)
-        return any(abs(value - end) <= most for value, most, (_, _, one) in estimated for end in one.doubted)
+        for value, most, (_, _, parameter) in zip(self.best.values, reach, self.model.parameters(kinds), strict=True):
+            near = min(most, settings.verdict.nearest_end * parameter.size)
+            if any(abs(value - end) <= near for end in parameter.doubted):
+                return True
+        return False
 
     def _is_too_much(self, by_situation: float, by_history: float) -> bool:
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)

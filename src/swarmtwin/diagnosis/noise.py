@@ -63,7 +63,18 @@ class Noise:
         together = (along[:, 0] * along[:, 2] - seen[:, 0, 2])[kept]
         with_turn = float(together @ both[kept] / max(float(both[kept] @ both[kept]), 1e-12))
         noise = cls(usual, growth, with_turn, camera, None)
-        return noise._with_scales(error, twist, session, settings)._with_tails(error, twist, session, settings)
+        noise = noise._with_scales(error, twist, session, settings)._with_tails(error, twist, session, settings)
+        return noise._with_some_camera(settings.least_share)
+
+    def _with_some_camera(self, least_share: float) -> Self:
+        """Return it with a camera that has at least a share of all variance, of x and y that of the quieter axis.
+
+        Motion that goes on as it was disturbed makes neighbouring errors alike, and hides the camera. A session in
+        which the camera errs more is told by a factor on that, which must not be 0.
+        """
+        least = least_share * (self.growth.sum(axis=1) + self.camera)
+        least[:2] = least[:2].min()
+        return replace(self, camera=np.maximum(self.camera, least))
 
     def _with_scales(
         self, error: np.ndarray, twist: np.ndarray, session: MeasuredSession, settings: NoiseSettings
@@ -167,9 +178,13 @@ def likeliest_scales(
         likelihood = density.sum() - prepared.log_volume.sum()
         return float(-likelihood * len(error) / len(rows) + ((logs / spread) ** 2).sum() / 2)
 
-    simplex = np.concatenate([np.zeros((1, 3)), 0.15 * np.eye(3)])
+    neighbours = _camera_variance(error, twist, session, np.ones(len(error), bool))
+    camera = np.log(np.divide(neighbours, noise.camera, out=np.ones(3), where=noise.camera > 0)) / 2
+    starts = np.zeros(3), np.clip([0.0, camera[0], camera[2]], -3.0, 3.0)
+    start = min(starts, key=loss)  # from next to no camera a search hardly sees that it may be larger
+    simplex = start + np.concatenate([np.zeros((1, 3)), 0.15 * np.eye(3)])
     options = {"initial_simplex": simplex, "xatol": 0.004, "fatol": 0.2, "maxfev": 60}
-    found = optimize.minimize(loss, np.zeros(3), method="Nelder-Mead", options=options)
+    found = optimize.minimize(loss, start, method="Nelder-Mead", options=options)
     return NoiseScales(*np.exp(2 * np.clip(found.x, -3.0, 3.0)))
 
 

@@ -48,7 +48,7 @@ class NoiseSettings(StrictModel):
     Attributes:
         rounds: of weighted least squares for the variances.
         clip_z: errors beyond so many standard deviations are outliers, and left out of these.
-        least_share: of an axis' whole variance that a vehicle at rest has at least: nothing is measured exactly.
+        least_share: of an axis' whole variance that a vehicle at rest has at least, and that the camera has.
         scale_spread: prior standard deviation of the log of the noise's scale, where it is fitted to the reference.
         degrees_of_freedom: candidates for the tails (Student's t), beside normal ones.
         set_scale_spread: prior standard deviation of the log of the spread that each explanation leaves.
@@ -247,6 +247,8 @@ class VerdictSettings(StrictModel):
         uncertainty_spreads: standard deviations over draws by which that may lie above their mean.
         most_left: of what the causes gain that may be left over: as a form leaves that is wrong by a fifth.
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
+        nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
+            cause to be named.
         gain_draws: bootstraps over runs for the gain's interval.
         immaterial: share of an error by which it may rise on held-out runs where another one falls.
     """
@@ -258,6 +260,7 @@ class VerdictSettings(StrictModel):
     uncertainty_spreads: NonNegative = 2.0
     most_left: Share = 0.04
     most_lasting: Share = 0.03
+    nearest_end: Share = 0.05
     gain_draws: Count = 1000
     immaterial: Share = 0.01
 

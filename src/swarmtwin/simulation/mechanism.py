@@ -46,12 +46,13 @@ class Parameter(NamedTuple):
     unit: str
     initial_values: tuple[float, ...]
     step: float | None = None
-    doubted_ends: Literal["both", "low", "none"] = "both"
+    doubted_ends: Literal["both", "low", "high", "none"] = "both"
 
     @property
     def doubted(self) -> frozenset[float]:
         """The bounds at which a cause is doubted that does something there."""
-        ends = {"both": {self.low, self.high}, "low": {self.low}, "none": set[float]()}[self.doubted_ends]
+        low, high = {self.low}, {self.high}
+        ends = {"both": low | high, "low": low, "high": high, "none": set[float]()}[self.doubted_ends]
         return frozenset(ends - {self.null_value})
 
     @property

@@ -58,7 +58,7 @@ class Config(Mechanism):
         return {
             "travel_rad": Parameter(0.0, high, 0.0, "rad", (0.05, 0.2), 0.01),
             "missing": Parameter(0.0, 1.0, None, "", (0.25, 0.75), 0.02, doubted_ends="none"),
-            "servo_rad_s": Parameter(4.0, 21.0, None, "rad/s", (7.0, 14.0), 0.2, doubted_ends="none"),
+            "servo_rad_s": Parameter(4.0, 21.0, None, "rad/s", (7.0, 14.0), 0.2, doubted_ends="high"),
         }
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
