@@ -76,20 +76,26 @@ def test_of_thrust_causes_that_say_when_it_follows_tell_less_of_each_other(robot
 
 
 @pytest.mark.parametrize(
-    ("value", "error", "named"),
+    ("cause", "parameter", "value", "error", "named"),
     [
-        (0.93, 0.005, True),  # far from the end by its own measure
-        (0.93, 0.02, False),  # it may as well be the end, and more
-        (0.60, 0.25, True),  # hardly known, but in the middle
-        (0.95, 0.001, False),
+        ("battery_sag", "loss", 0.93, 0.005, True),  # far from the end of its range, 0.95, by its own measure
+        ("battery_sag", "loss", 0.93, 0.02, False),  # it may as well be the end, and more
+        ("battery_sag", "loss", 0.60, 0.25, True),  # hardly known, but in the middle
+        ("battery_sag", "loss", 0.95, 0.001, False),
+        ("gain_change", "gain", 0.95, 0.02, True),
+        ("gain_change", "gain", 0.95, 0.04, False),  # it may as well be 1
     ],
 )
-def test_a_cause_that_cannot_be_told_from_the_end_of_its_range_is_not_named(robots, value, error, named):
-    kind = mechanism_class("battery_sag")
-    settings = DiagnosisSettings()
-    parameters = [(0, "loss", kind.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))["loss"])]
-    model = SimpleNamespace(settings=settings, parameters=lambda kinds: parameters, session=range(4000))
+def test_a_cause_that_may_lie_at_an_end_or_do_nothing_is_not_named(robots, cause, parameter, value, error, named):
+    kind, robot = mechanism_class(cause), robots["mgr"]
+    parameters = [(0, parameter, kind.parameters_of(robot, conditions_of(robot))[parameter])]
+    model = SimpleNamespace(
+        settings=DiagnosisSettings(), parameters=lambda kinds: parameters, session=range(4000), strange=()
+    )
     covariance = np.array([[error**2]])
-    best = SimpleNamespace(mechanisms=[kind], names=("battery_sag",), values=np.array([value]), covariance=covariance)
-    explained = Explanation(model, posterior_of(battery_sag=(300.0, 1)), best, 300.0, LeftOver(0.0, 0.0), None)
-    assert explained.names == (("battery_sag",) if named else ())
+    best = SimpleNamespace(mechanisms=[kind], names=(cause,), values=np.array([value]), covariance=covariance)
+    noise = SimpleNamespace(probability=0.0)
+    explained = Explanation(model, posterior_of(**{cause: (300.0, 1)}), best, 300.0, LeftOver(0.0, 0.0), noise)
+    assert explained.names == ((cause,) if named else ())
+    if cause == "gain_change":
+        assert explained.verdict == ("explained" if named else "no_gap")

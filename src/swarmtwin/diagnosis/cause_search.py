@@ -121,7 +121,7 @@ class CauseSearch:
         """Fit sets of one cause more at a time, beside the best ones, until a further cause is not probable."""
         nothing = self._fit(())
         frontier, best = [nothing], self.score(nothing)
-        for count in range(1, self.settings.most_causes + 1):
+        for count in range(1, self.settings.most_causes + 2):  # one more shows where these do not suffice
             proposed: list[Candidate] = []
             for number, one in enumerate(frontier):
                 self._tell(f"{count} causes", number, len(frontier))

@@ -1,5 +1,6 @@
 """Step 3, its end: what the causes of a session explain of what can be explained at all, and what is said of it."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +13,7 @@ from swarmtwin.diagnosis.left_over import LeftOver, Usual, left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
 from swarmtwin.diagnosis.result import Verdict
-from swarmtwin.simulation.mechanism import Mechanism
+from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
 
 @dataclass(frozen=True)
@@ -70,14 +71,33 @@ class Explanation:
 
         Beyond it the cause may fit better, or another one that this one stands for.
         """
-        settings, kinds = self.model.settings, [type(one) for one in self.best.mechanisms]
-        deviations = stats.norm.ppf((1 + settings.estimation.interval) / 2)
-        reach = deviations * np.sqrt(np.diag(self.best.covariance))
-        for value, most, (_, _, parameter) in zip(self.best.values, reach, self.model.parameters(kinds), strict=True):
-            near = min(most, settings.verdict.nearest_end * parameter.size)
-            if any(abs(value - end) <= near for end in parameter.doubted):
-                return True
-        return False
+        nearest = self.model.settings.verdict.nearest_end
+        return any(
+            abs(value - end) <= min(reach, nearest * parameter.size)
+            for _, parameter, value, reach in self._estimates()
+            for end in parameter.doubted
+        )
+
+    @cached_property
+    def _telling(self) -> tuple[str, ...]:
+        """Those of the best causes that cannot be told from doing nothing, which may be a unit's own, left out.
+
+        That is asked where a cause acts to both sides of doing nothing: its estimate is as good as normal there.
+        """
+        may_do_nothing: dict[str, bool] = {}
+        for name, parameter, value, reach in self._estimates():
+            if parameter.null_value is not None and parameter.low < parameter.null_value < parameter.high:
+                holds_null = abs(value - parameter.null_value) <= reach
+                may_do_nothing[name] = may_do_nothing.get(name, True) and holds_null
+        return tuple(name for name in self.best.names if not may_do_nothing.get(name, False))
+
+    def _estimates(self) -> Iterator[tuple[str, Parameter, float, float]]:
+        """Yield cause, parameter and value of the best causes, and how far their intervals reach to each side."""
+        deviations = stats.norm.ppf((1 + self.model.settings.estimation.interval) / 2)
+        reaches = deviations * np.sqrt(np.diag(self.best.covariance))
+        parameters = self.model.parameters([type(one) for one in self.best.mechanisms])
+        for (number, _, parameter), value, reach in zip(parameters, self.best.values, reaches, strict=True):
+            yield self.best.names[number], parameter, float(value), float(reach)
 
     def _is_too_much(self, by_situation: float, by_history: float) -> bool:
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
@@ -88,14 +108,16 @@ class Explanation:
     def names(self) -> tuple[str, ...]:
         """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
 
-        None where much is left, be it the simulation's uncertainty, where that would gain as much, or where a value
-        may lie at the end of what it can be: a name would be made up.
+        None where much is left, be it the simulation's uncertainty, where that would gain as much, where a value may
+        lie at the end of what it can be, or where it takes many causes: a name would be made up. Nor one that may as
+        well do nothing.
         """
-        if self._may_be_something_left or self.is_uncertain or self._is_at_an_end:
-            return ()
         settings, posterior = self.model.settings.search, self.posterior
+        takes_many = len(self.best.names) > settings.most_causes
+        if self._may_be_something_left or self.is_uncertain or self._is_at_an_end or takes_many:
+            return ()
         named = []
-        for name in self.best.names:
+        for name in self._telling:
             rivals = posterior.rivals(name, settings.rival_from)
             is_leading = posterior.probability(name) >= settings.reported_from
             if is_leading and posterior.probability(name, *rivals) >= settings.named_from:
@@ -116,7 +138,7 @@ class Explanation:
             return "unexplained"
         if self.names or self.names_motion_noise:
             return "explained"
-        return "unexplained" if self.best.names and not self.is_uncertain else "no_gap"
+        return "unexplained" if self._telling and not self.is_uncertain else "no_gap"
 
     @cached_property
     def mechanisms(self) -> tuple[Mechanism, ...]:

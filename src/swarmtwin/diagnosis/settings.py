@@ -185,7 +185,8 @@ class SearchSettings(StrictModel):
             clock shows: nothing of it is fitted.
         least_share_late: likewise, in its place, for each cause beyond the first that says when a fin or a propeller
             follows: what a change of its setting does on the way is known to little more than a quarter.
-        most_causes: in one set.
+        most_causes: that are named in one session. Where more are likelier, none is: any gap can be pieced together
+            from enough causes.
         most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
         grid_points: of each mechanism's grid, where it is screened.
         fitted_a_set: mechanisms that are fitted beside each of the sets that are kept.
@@ -202,7 +203,7 @@ class SearchSettings(StrictModel):
     least_nats_a_transition: NonNegative = 0.005
     least_share_beside: NonNegative = 0.02
     least_share_late: NonNegative = 0.08
-    most_causes: Count = 4
+    most_causes: Count = 3
     most_transitions: Count = 6000
     grid_points: Count = 32
     fitted_a_set: Count = 4
