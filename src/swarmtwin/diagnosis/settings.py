@@ -245,7 +245,8 @@ class VerdictSettings(StrictModel):
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
         uncertainty_draws: of the simulation's own error, for what it would leave over where nothing is wrong.
-        uncertainty_spreads: standard deviations over draws by which that may lie above their mean.
+        uncertainty_spreads: standard deviations over draws by which that may lie above their mean: of clean sessions
+            1 in 200 may alarm, and nats have a longer tail than a normal.
         most_left: of what the causes gain that may be left over: as a form leaves that is wrong by a fifth.
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
         nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
@@ -258,7 +259,7 @@ class VerdictSettings(StrictModel):
     alarm_nats: Positive = 15.0
     alarm_nats_a_transition: NonNegative = 0.002
     uncertainty_draws: Count = 12
-    uncertainty_spreads: NonNegative = 2.0
+    uncertainty_spreads: NonNegative = 3.0
     most_left: Share = 0.04
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05
