@@ -42,9 +42,12 @@ diagnose robot=cart reference=reference measured=worn register=false pictures=fa
 
 
 @pytest.fixture(scope="module")
-def way(tmp_path_factory):
+def way(made_once):
     """The folder in which all commands have run, one after the other in a process of their own."""
-    folder = tmp_path_factory.mktemp("way")
+    return made_once("way_of_plugins", go_all_the_way)
+
+
+def go_all_the_way(folder):
     ticks = pd.DataFrame({"seconds": [tick / 2 for tick in range(80)], "who": "7", "l": 40, "r": 40, "angle_deg": 0})
     ticks.assign(x=100 + 20 * (ticks.index % 40), y=500).to_csv(folder / "log.csv", index=False)
     environment = {**os.environ, "SWARMTWIN_PLUGINS": str(OUTSIDE)}
@@ -58,7 +61,6 @@ def way(tmp_path_factory):
         text=True,
     )
     assert answer.returncode == 0, answer.stdout + answer.stderr
-    return folder
 
 
 def content(file):

@@ -117,7 +117,7 @@ def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
 
 def test_an_interrupted_command_goes_on_to_the_same_policy(swarmtwin, model, workshop):
     model("mlp")
-    options = (*QUICK, "policy.steps=300", "seeds=1", "register=false")
+    options = (*QUICK, "policy.steps=150", "seeds=1", "register=false")
     process = subprocess.Popen([SWARMTWIN, *options, "output=out"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     checkpoint = workshop / ".out.partial" / "checkpoints" / "seed-1.ckpt"
     for _ in range(2400):

@@ -1,12 +1,13 @@
 """Gains: open loop is measured on the poses that one-step errors are, in the recording's own arena."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from diagnosis_factories import made_result, made_session
 
-from swarmtwin.diagnosis.gains import Errors, not_confirmed, pieces, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, likelihood_gain, not_confirmed, pieces, scored_tracks
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
 from swarmtwin.diagnosis.result import Gain, Gains
@@ -169,3 +170,17 @@ def test_lost_commands_of_another_vehicle_are_confirmed_by_likelihood():
     assert not_confirmed(gain, BETTER, immaterial=0.01, moves=False) is None
     assert not_confirmed(gain, NEITHER, immaterial=0.01, moves=False) == "they are not measurably more likely with it"
     assert "neither position nor orientation" in not_confirmed(gain, BETTER, immaterial=0.01)
+
+
+def test_more_random_motion_is_judged_beside_what_the_reference_s_own_motion_shows():
+    """Measured like a session's, that is 0.9 of what its noise says; the motion 1.25 times that."""
+
+    def log_likelihood(mechanisms, factor):
+        return np.full(40, -((factor - 1.125) ** 2))
+
+    held_out = SimpleNamespace(
+        log_likelihood_with_motion_noise=log_likelihood, session=SimpleNamespace(run=np.repeat(np.arange(8), 5))
+    )
+    extended = SimpleNamespace(mechanisms=(), noise_factor=1.25)
+    gain = likelihood_gain(held_out, extended, 100, np.random.default_rng(1), usual=0.9)
+    assert (gain.before, gain.after) == pytest.approx(((0.9 - 1.125) ** 2, 0.0))

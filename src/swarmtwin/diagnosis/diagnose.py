@@ -89,7 +89,8 @@ def diagnose(
     gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
     objection, unfitted = None, reference.likelihood_of(session.where(held_out))
     if extended:
-        likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed))
+        usual = explained.motion_noise.usual
+        likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed), usual)
         moves = extended.residual is not None or bool(arriving(explained.mechanisms))
         objection = not_confirmed(gain, likelihood, settings.immaterial, moves)
     named = reported_causes(explained, rng)

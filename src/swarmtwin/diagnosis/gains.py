@@ -125,17 +125,26 @@ def _gain_over_runs(
     return _gain(first[known], second[known], np.unique(run, return_inverse=True)[1][known], draws, rng)
 
 
-def likelihood_gain(unfitted: SessionLikelihood, extended: Simulation, draws: int, rng: np.random.Generator) -> Gain:
+def likelihood_gain(
+    unfitted: SessionLikelihood, extended: Simulation, draws: int, rng: np.random.Generator, usual: float = 1.0
+) -> Gain:
     """Compare how unlikely a held-out transition is without and with mechanisms: negative log-likelihood, nats.
 
     Sessions of one robot differ in their noise, so that it is taken from the held-out runs themselves; but where the
     extension says how random the motion is, it is held to that, and to the reference's noise without it.
+
+    Args:
+        unfitted: of the held-out runs.
+        extended: the simulation with the mechanisms.
+        draws: bootstraps over runs.
+        rng: of these.
+        usual: factor that the reference's own motion shows on its noise, where it is measured like a session's.
     """
     mechanisms, factor = extended.mechanisms, extended.noise_factor
     if factor == 1.0:
         before, after = (-unfitted.evaluate(taken).log_likelihood for taken in ((), mechanisms))
     else:
-        taken_with = (((), 1.0), (mechanisms, factor))
+        taken_with = (((), usual), (mechanisms, usual * factor))
         before, after = (-unfitted.log_likelihood_with_motion_noise(*taken) for taken in taken_with)
     return _gain(before, after, unfitted.session.run, draws, rng)
 

@@ -19,12 +19,14 @@ class MotionNoiseChange(NamedTuple):
         low: of the 95 % interval.
         high: of it, what sessions of one robot differ by included.
         probability: that this is a cause, and no difference that two sessions of one robot have.
+        usual: factor that the reference's own motion shows, measured likewise: the first one is beside it.
     """
 
     factor: float
     low: float
     high: float
     probability: float
+    usual: float = 1.0
 
 
 def motion_noise_change(
@@ -34,13 +36,14 @@ def motion_noise_change(
     log, error = model.motion_noise_log()
     usual = usual_noise_spread(model, mechanisms)
 
-    def change(log: float) -> MotionNoiseChange:
-        probability = noise_change_probability(log, error, usual, model.settings)
-        low, high = np.exp(log + np.array([-1.96, 1.96]) * np.hypot(error, usual))
-        return MotionNoiseChange(float(np.exp(log)), float(low), float(high), probability)
+    def change(of_reference: float) -> MotionNoiseChange:
+        beside = log - of_reference
+        probability = noise_change_probability(beside, error, usual, model.settings)
+        low, high = np.exp(beside + np.array([-1.96, 1.96]) * np.hypot(error, usual))
+        return MotionNoiseChange(*map(float, (np.exp(beside), low, high, probability, np.exp(of_reference))))
 
-    found = change(log)
-    return change(log - usual_log()) if found.probability >= 0.5 else found
+    found = change(0.0)
+    return change(usual_log()) if found.probability >= 0.5 else found
 
 
 def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
