@@ -7,12 +7,13 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compiled once, when it is first imported
 
-.PHONY: help setup run test claims benchmark lint docs paper audit ui data notebooks dependencies lock queue fuzz kill demo faults
+.PHONY: help setup run test claims services benchmark lint docs paper audit ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
 	@echo "make test       set up, run all tests"
 	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
+	@echo "make services   test what others run: sweeps and studies on a Ray cluster, models and recordings in a bucket"
 	@echo "make lint       set up, check style and types"
 	@echo "make paper      what the documentation shows of models, the paper's tables and hidden effects, anew: more than an hour"
 	@echo "make docs       set up, build the documentation into site/ and check its links"
@@ -103,12 +104,19 @@ DOCUMENTED := tables docs/results/dvc.yaml docs/results/creates/dvc.yaml
 
 test: setup
 	$(BIN)/dvc pull --quiet data $(DOCUMENTED)
-	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims" tests
+	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims and not services" tests
 
 claims: setup
 	$(BIN)/dvc pull --quiet data
 	$(BIN)/pytest -n 2 --dist worksteal -m claims tests
 	$(BIN)/pytest -n 2 --nbmake notebooks
+
+services: .venv/services  # a study on a Ray cluster, models and recordings in a bucket: both are started here
+	$(BIN)/pytest -m services tests
+
+.venv/services: .venv/installed
+	$(PIP) --constraint constraints.txt --editable '.[services]'
+	@touch $@
 
 audit: setup  # what the environment is made of, as a CycloneDX bill, and what is known to be vulnerable in it
 	.ci/audit $(BIN)/python artifacts/audit

@@ -18,9 +18,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 LOADED_BY_OTHERS = {
     "hydra-joblib-launcher": "Hydra, for sweeps",
     "hydra-submitit-launcher": "Hydra, for sweeps by Slurm",
-    "ray": "joblib, for sweeps on a cluster",
     "psycopg": "SQLAlchemy, for PostgreSQL",
-    "boto3": "MLflow, for buckets",
+    "aiobotocore": "DVC, for buckets, and its boto3 MLflow",
     "dvc-s3": "DVC, for buckets",
     "onnxscript": "torch.onnx, to export",
     "mujoco": "rigid bodies, which look for it by its name",

@@ -13,7 +13,7 @@ from swarmtwin.errors import UserError
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
-Extra = Literal["base", "deploy", "tracking", "train", "studies", "slurm", "ray", "postgresql", "s3", "dev"]
+Extra = Literal["base", "deploy", "tracking", "train", "studies", "slurm", "ray", "postgresql", "s3", "services", "dev"]
 """A part; `base` is what is always installed."""
 
 

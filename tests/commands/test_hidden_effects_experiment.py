@@ -1,5 +1,6 @@
 """`swarmtwin experiment name=hidden_effects`: it goes on where it was interrupted, and writes all tables."""
 
+import importlib.util
 import json
 import sys
 
@@ -101,3 +102,25 @@ def test_what_makes_no_sense_is_one_line(swarmtwin, workshop, options, message):
     assert answer.error.startswith(f"swarmtwin experiment: {message}"), answer.error
     assert len(answer.error.strip().splitlines()) == 1
     assert not (workshop / "study").exists()
+
+
+@pytest.mark.services
+def test_sessions_judged_on_a_cluster_are_those_judged_here(swarmtwin, workshop):
+    pytest.importorskip("ray", reason="pip install 'swarmtwin[ray]'")
+    few = ("families=[formulas]", "robots=[mgr]", "kinds=[one,clean]", "count.quick.one=1", "count.quick.clean=1")
+    short = "lengths={runs: 12, steps: 40, reference_runs: 16}"
+    study = ("experiment", "name=hidden_effects", *few, short)
+    for where, output in (("processes=1", "here"), ("cluster=local", "there")):
+        answer = swarmtwin(*study, where, f"output={output}")
+        assert answer.status == 0, answer.error
+    here, there = (pd.read_csv(workshop / output / "results.csv") for output in ("here", "there"))
+    measured_anew = ["seconds", "learning_seconds", "memory_mb"]
+    pd.testing.assert_frame_equal(here.drop(columns=measured_anew), there.drop(columns=measured_anew))
+
+
+def test_a_cluster_without_ray_is_one_line(swarmtwin, workshop):
+    if importlib.util.find_spec("ray"):
+        pytest.skip("Ray is installed")
+    answer = swarmtwin(*EXPERIMENT, "cluster=local", "output=study")
+    assert answer.status == 2
+    assert "cluster=local needs what is not installed here, ray: pip install 'swarmtwin[ray]'" in answer.error

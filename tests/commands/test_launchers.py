@@ -45,7 +45,12 @@ def command(workshop):
 
 
 @pytest.mark.parametrize(
-    "launcher", [pytest.param(name, marks=pytest.mark.claims) for name in LAUNCHERS if name != "joblib"] + ["joblib"]
+    "launcher",
+    [
+        "joblib",
+        pytest.param("submitit_local", marks=pytest.mark.claims),
+        pytest.param("ray", marks=pytest.mark.services),
+    ],
 )
 def test_runs_side_by_side_leave_their_outputs_and_one_table(command, workshop, launcher):
     installed(launcher)
@@ -57,8 +62,13 @@ def test_runs_side_by_side_leave_their_outputs_and_one_table(command, workshop, 
     assert not list(Path("outputs/sweeps").glob(".rows-*"))
 
 
-@pytest.mark.claims
-@pytest.mark.parametrize("launcher", LAUNCHERS)
+@pytest.mark.parametrize(
+    "launcher",
+    [
+        *(pytest.param(name, marks=pytest.mark.claims) for name in ("joblib", "submitit_local")),
+        pytest.param("ray", marks=pytest.mark.services),
+    ],
+)
 def test_trainings_side_by_side_are_those_of_one_after_the_other(command, workshop, launcher):
     """To the last bit; and in MLflow they belong to the sweep's run, wherever they ran."""
     import mlflow

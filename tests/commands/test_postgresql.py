@@ -1,34 +1,22 @@
 """One database for a lab: Optuna's studies and MLflow's runs in PostgreSQL, as Debian packages it."""
 
-import contextlib
 import os
 import shutil
-import signal
-import socket
 import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import optuna
 import pytest
-import requests
-import yaml
 from optuna.trial import TrialState
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+from lab_server import check_a_model_goes_round, free_port, lab_server
+
 BINARIES = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))[-1:] or [Path(shutil.which("initdb") or "none")]
 
 pytestmark = pytest.mark.skipif(
     not BINARIES[0].exists(), reason="there is no PostgreSQL server: apt install postgresql"
 )
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def as_its_user(folder, program, *arguments):
@@ -80,59 +68,12 @@ def test_a_database_that_is_not_there_is_one_line(swarmtwin):
     assert "secret" not in answer.error
 
 
-def served(server, artifacts, port):
-    """The command by which containers/compose.yaml starts MLflow's server, for a database and a folder here."""
-    service = yaml.safe_load((REPOSITORY / "containers" / "compose.yaml").read_text())["services"]["server"]
-    told = {
-        "swarmtwin:${PASSWORD}": "swarmtwin",
-        "${DATABASE_HOST:-database}": server,
-        "${ARTIFACTS:-/artifacts}": str(artifacts),
-        "--host=0.0.0.0": "--host=127.0.0.1",
-        "${PORT:-5000}": str(port),
-        "${ALLOWED_HOSTS:-localhost:*,127.0.0.1:*,192.168.*,10.*}": "localhost:*,127.0.0.1:*",
-    }
-    words = [*service["entrypoint"], *service["command"]]
-    for name, value in told.items():
-        assert any(name in word for word in words), name
-        words = [word.replace(name, value) for word in words]
-    return [sys.executable, "-m", *words]
-
-
 @pytest.mark.claims
 def test_a_model_trained_here_is_loaded_elsewhere_by_the_server_of_the_compose_file(
-    swarmtwin, server, workshop, tmp_path_factory, monkeypatch
+    swarmtwin, server, workshop, tmp_path, monkeypatch
 ):
     """Runs and the registry lie in PostgreSQL, files come through the server: no folder is shared."""
-    artifacts, port = tmp_path_factory.mktemp("artifacts"), free_port()
-    said = tmp_path_factory.mktemp("log") / "server.log"
-    with said.open("w") as log:
-        process = subprocess.Popen(served(server, artifacts, port), stdout=log, stderr=log, start_new_session=True)
-    address = f"http://127.0.0.1:{port}"
-    try:
-        wait_for(address, process, said)
-        monkeypatch.setenv("MLFLOW_TRACKING_URI", address)
-        quick = ("recording=reference", "model=mlp", "model.steps=60", "recipe.batch_size=256", "seeds=1")
-        trained = swarmtwin("train", *quick, "pictures=false", "output=model")
-        assert trained.status == 0, trained.error
-        shutil.rmtree("model")
-        model = "simulation=models:/mgr-dynamics@challenger"
-        measured = swarmtwin("evaluate", model, "recording=other_vehicle", "output=evaluation")
-        assert measured.status == 0, measured.error
-        assert (workshop / "evaluation" / "metrics.json").is_file()
-        assert not (workshop / "mlruns").exists()
-        assert list(artifacts.rglob("weights.safetensors"))
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-        process.wait(timeout=30)
-
-
-def wait_for(address, process, said, longest_s=120):
-    """Wait until the server answers, as long as its process lives."""
-    began_s = time.monotonic()
-    while time.monotonic() - began_s < longest_s and process.poll() is None:
-        with contextlib.suppress(requests.RequestException):
-            if requests.get(f"{address}/health", timeout=1).ok:
-                return
-        time.sleep(0.5)
-    pytest.fail(f"no answer from {address}:\n{said.read_text()[-3000:]}")
+    artifacts = tmp_path / "artifacts"
+    with lab_server(tmp_path, f"postgresql://swarmtwin@{server}/mlflow", artifacts) as address:
+        check_a_model_goes_round(swarmtwin, workshop, monkeypatch, address)
+    assert list(artifacts.rglob("weights.safetensors"))

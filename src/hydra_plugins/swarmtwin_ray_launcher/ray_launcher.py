@@ -1,8 +1,6 @@
 """`hydra/launcher=ray`: the runs of a sweep as jobs of a Ray cluster, by joblib's Ray backend."""
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from importlib.util import find_spec
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +9,7 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-from swarmtwin.errors import UserError
-from swarmtwin.extras import install_command
-
-PASSED_ON = ("SWARMTWIN_", "MLFLOW_", "DVC_", "OMP_NUM_THREADS")
-"""How variables begin that a run needs on whichever machine: where plug-ins and runs are, and of which sweep it is."""
+from swarmtwin.learning.ray_cluster import CalledFrom, ray_cluster
 
 
 class RayLauncher(Launcher):
@@ -38,34 +32,26 @@ class RayLauncher(Launcher):
         """Run all jobs, and return what each came to, in their order.
 
         Raises:
-            UserError: Ray is not installed.
+            UserError: Ray is not installed, or no cluster answers.
         """
-        if find_spec("ray") is None:
-            raise UserError(f"hydra/launcher=ray needs Ray, which is not installed here: {install_command('ray')}")
-        import joblib
-        import ray
-        from hydra.core.singleton import Singleton
-        from hydra_plugins.hydra_joblib_launcher._core import execute_job
-        from ray.util.joblib import register_ray
+        with ray_cluster(self.address, "hydra/launcher=ray"):
+            import joblib
+            from hydra.core.singleton import Singleton
+            from hydra_plugins.hydra_joblib_launcher._core import execute_job
+            from ray.util.joblib import register_ray
 
-        Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
-        told = {name: value for name, value in os.environ.items() if name.startswith(PASSED_ON)}
-        shared = (self.hydra_context, self.config, self.task_function, Singleton.get_state())
-        jobs = [
-            joblib.delayed(_run_there)(Path.cwd(), told, execute_job, initial_job_idx + index, list(overrides), *shared)
-            for index, overrides in enumerate(job_overrides)
-        ]
-        register_ray()
-        ray.init(address=self.address, include_dashboard=False, log_to_driver=False, logging_level="ERROR")
-        try:
+            Path(str(self.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
+            shared = (self.hydra_context, self.config, self.task_function, Singleton.get_state())
+            jobs = [
+                joblib.delayed(_run_there)(CalledFrom.here(), execute_job, initial_job_idx + index, list(own), *shared)
+                for index, own in enumerate(job_overrides)
+            ]
+            register_ray()
             with joblib.parallel_backend("ray", n_jobs=self.n_jobs):
                 return joblib.Parallel(n_jobs=self.n_jobs, batch_size=1)(jobs)
-        finally:
-            ray.shutdown()
 
 
-def _run_there(folder: Path, environment: Mapping[str, str], execute: Callable[..., JobReturn], *job: Any) -> JobReturn:
-    """Run a job in a folder and with environment variables as where the sweep was called."""
-    os.chdir(folder)
-    os.environ.update(environment)
+def _run_there(place: CalledFrom, execute: Callable[..., JobReturn], *job: Any) -> JobReturn:
+    """Run a job as where the sweep was called."""
+    place.go()
     return execute(*job)

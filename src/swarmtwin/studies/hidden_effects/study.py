@@ -24,6 +24,7 @@ from swarmtwin.files import CHECKPOINTS, check_output, new_folder, write_text
 from swarmtwin.learning.device import one_thread
 from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.learning.progress_bars import quieter
+from swarmtwin.learning.ray_cluster import run_on_cluster
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.standin.session import require_stand_in
 from swarmtwin.studies.hidden_effects.baselines.engine_identification import load_identification
@@ -99,6 +100,7 @@ class Options(StrictModel):
     baselines: bool
     true_model: Shares
     processes: Annotated[int, Field(ge=1)] | None
+    cluster: str | None
     seed: Seed
     output: Path
     overwrite: bool
@@ -185,7 +187,7 @@ def run(options: Options) -> dict[str, Any]:
         tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked,
     ):
         file = folder / CHECKPOINTS / "results.jsonl"
-        results = _results(jobs, file, options.processes)
+        results = _results(jobs, file, options)
         shutil.copy(file, folder)
         summary = summarise(results)
         _save(folder, results, summary)
@@ -198,7 +200,7 @@ def run(options: Options) -> dict[str, Any]:
     return {**_tracked(summary), "output": str(options.output)}
 
 
-def _results(jobs: list[ScoringJob], file: Path, processes: int | None) -> list[Result]:
+def _results(jobs: list[ScoringJob], file: Path, options: Options) -> list[Result]:
     """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
     found = read_results(file, [job.case for job in jobs])
     asked = {job.case.key: job for job in jobs}
@@ -213,7 +215,11 @@ def _results(jobs: list[ScoringJob], file: Path, processes: int | None) -> list[
             bar.advance(task)
 
         missing = [job for job in jobs if job.case.key not in known]
-        run_side_by_side(missing, keep, processes)
+        if options.cluster is None:
+            run_side_by_side(missing, keep, options.processes)
+        elif missing:
+            address = None if options.cluster == "local" else options.cluster
+            run_on_cluster(missing, keep, address, f"cluster={options.cluster}")
     return [known[job.case.key] for job in jobs]
 
 
