@@ -145,10 +145,24 @@ def _run_app(name: str, module_name: str, config_name: str, rows: Path) -> None:
     read is there.
     """
     failures: list[Exception] = []
-    app = hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")
-    app(_task(name, module_name, failures, rows))()
+    task = _task(name, module_name, failures, rows)
+    if any(re.match(r"-|[+~]*hydra\b", argument) for argument in sys.argv[1:]):
+        hydra.main(config_path=str(config_folder()), config_name=config_name, version_base="1.3")(task)()
+    else:
+        _run_once(task, config_name)
     if failures:
         raise failures[0]
+
+
+def _run_once(task: Callable[[DictConfig], Any], config_name: str) -> None:
+    """Compose a configuration and run a task with it, where all that is given are options of the command.
+
+    `hydra.main` composes each twice, the first time only to learn whether it is a sweep.
+    """
+    with hydra.initialize_config_dir(str(config_folder()), job_name="swarmtwin", version_base="1.3"):
+        config = hydra.compose(config_name, [*sys.argv[1:], "hydra.mode=RUN"], return_hydra_config=True)
+        HydraConfig.instance().set_config(config)
+        task(OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"]))
 
 
 def _spelled_out(name: str, arguments: list[str]) -> list[str]:
