@@ -179,6 +179,18 @@ def test_help_needs_none_of_the_heavy_packages():
         assert f"  {name}" in answer.stdout
 
 
+def test_what_a_command_imports_is_no_garbage_and_what_it_makes_is_collected(workplace):
+    script = """import gc, sys
+from swarmtwin import commands
+from swarmtwin.commands import doctor
+doctor.run = lambda options: print("while it runs:", gc.isenabled(), gc.get_freeze_count() > 10_000) or {}
+sys.argv = ["swarmtwin", "doctor"]
+commands.main()
+"""
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "while it runs: True True" in answer.stdout
+
+
 def test_an_unknown_command_names_the_one_meant():
     answer = subprocess.run([SWARMTWIN, "trian"], capture_output=True, text=True, check=False)
     assert answer.returncode == 2

@@ -1,5 +1,6 @@
 """The console script `swarmtwin`: one Hydra app a command, each imported only when it is called."""
 
+import gc
 import os
 import signal
 import sys
@@ -45,6 +46,7 @@ def main() -> None:
 
     if (answer := ask(arguments)) is not None:
         sys.exit(answer)
+    gc.disable()  # what is imported stays: to look through it again and again took a quarter of a command's start
     from swarmtwin.commands.app import answer_interrupts, run_command
 
     try:

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import gc
 import importlib
 import logging
 import os
@@ -226,6 +227,9 @@ def _task(name: str, module_name: str, failures: list[Exception], rows: Path) ->
 
             check_inputs(name, cast(dict[str, Any], content))
             module = _imported(name, module_name)
+            if not gc.isenabled():
+                gc.freeze()
+                gc.enable()
             if run.mode == RunMode.RUN:
                 answer_interrupts(_interrupt)  # until here nothing has begun
             headline = module.run(module.Options.parse(content, "options"))
