@@ -8,12 +8,13 @@ import pytest
 from exact_model import conditions_of
 from swarmtwin.diagnosis.cause_report import leading_sets
 from swarmtwin.diagnosis.cause_search import CausePosterior, share_beside
-from swarmtwin.diagnosis.explanation import Explanation
+from swarmtwin.diagnosis.explanation import Explanation, explanation
 from swarmtwin.diagnosis.left_over import LeftOver
 from swarmtwin.diagnosis.settings import DiagnosisSettings, SearchSettings
 from swarmtwin.simulation.mechanism import mechanism_class
 
 ODDS_AGAINST = 3.0
+NOTHING_LEFT = LeftOver(0.0, 0.0)
 
 
 def posterior_of(**evidence):
@@ -87,15 +88,84 @@ def test_of_thrust_causes_that_say_when_it_follows_tell_less_of_each_other(robot
     ],
 )
 def test_a_cause_that_may_lie_at_an_end_or_do_nothing_is_not_named(robots, cause, parameter, value, error, named):
-    kind, robot = mechanism_class(cause), robots["mgr"]
-    parameters = [(0, parameter, kind.parameters_of(robot, conditions_of(robot))[parameter])]
-    model = SimpleNamespace(
-        settings=DiagnosisSettings(), parameters=lambda kinds: parameters, session=range(4000), strange=()
-    )
-    covariance = np.array([[error**2]])
-    best = SimpleNamespace(mechanisms=[kind], names=(cause,), values=np.array([value]), covariance=covariance)
-    noise = SimpleNamespace(probability=0.0)
-    explained = Explanation(model, posterior_of(**{cause: (300.0, 1)}), best, 300.0, LeftOver(0.0, 0.0), noise)
-    assert explained.names == ((cause,) if named else ())
+    explained = explanation_of(robots["mgr"], {cause: (parameter, value, error)}, posterior_of(**{cause: (300.0, 1)}))
     if cause == "gain_change":
-        assert explained.verdict == ("explained" if named else "no_gap")
+        assert explained.telling == ((cause,) if named else ())
+    else:
+        assert explained.names == ((cause,) if named else ())
+
+
+def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_LEFT):
+    """An explanation by causes, each with a parameter, its value and its error."""
+
+    def parameters(kinds):
+        found = []
+        for number, kind in enumerate(kinds):
+            name, _, _ = estimates[kind.name]
+            found.append((number, name, kind.parameters_of(robot, conditions_of(robot))[name]))
+        return found
+
+    model = SimpleNamespace(
+        settings=DiagnosisSettings(),
+        parameters=parameters,
+        session=range(4000),
+        strange=(),
+        read_off_clock=lambda kind: False,
+    )
+    best = SimpleNamespace(
+        mechanisms=[
+            type(cause, (), {"name": cause, "parameters_of": mechanism_class(cause).parameters_of})()
+            for cause in estimates
+        ],
+        names=tuple(estimates),
+        values=np.array([value for _, value, _ in estimates.values()]),
+        covariance=np.diag([error**2 for _, _, error in estimates.values()]),
+    )
+    return Explanation(model, posterior or posterior_of(), best, gained, left, SimpleNamespace(probability=0.0))
+
+
+SAG, GAIN = ("loss", 0.5, 0.05), ("gain", 1.9, 0.6)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "left"),
+    [
+        ({"battery_sag": (-3.0, 1)}, ()),  # without the gain it is less likely than nothing
+        ({"battery_sag": (40.0, 1)}, ("battery_sag",)),
+        ({}, ()),  # it was never fitted alone
+    ],
+)
+def test_beside_a_cause_that_may_do_nothing_the_others_are_estimated_anew(robots, monkeypatch, evidence, left):
+    posterior = posterior_of(battery_sag_and_gain_change=(60.0, 1), **evidence)
+    both = explanation_of(robots["mgr"], {"battery_sag": SAG, "gain_change": GAIN}).best
+    monkeypatch.setattr(CausePosterior, "best", both)
+    asked = []
+
+    def explained_by(mechanisms, model, posterior, usual):
+        names = [one.name for one in mechanisms]
+        asked.append(tuple(names))
+        known = {"battery_sag": SAG, "gain_change": GAIN}
+        return explanation_of(robots["mgr"], {name: known[name] for name in names}, posterior)
+
+    monkeypatch.setattr("swarmtwin.diagnosis.explanation._explained_by", explained_by)
+    found = explanation(None, posterior)
+    assert asked == [("battery_sag", "gain_change"), left]
+    assert found.best.names == left
+
+
+@pytest.mark.parametrize(
+    ("gained", "most", "verdict", "may_be_chance"),
+    [
+        (300.0, 0.0, "explained", False),
+        (40.0, 50.0, "no_gap", True),  # an uncertain simulation may gain as much
+        (60.0, 50.0, "explained", True),  # more, but not so much more that it would alarm
+        (90.0, 50.0, "explained", False),
+    ],
+)
+def test_what_gains_no_more_than_an_uncertain_simulation_is_no_cause(robots, gained, most, verdict, may_be_chance):
+    posterior = posterior_of(gain_change=(gained, 1))
+    left = LeftOver(0.0, 0.0, most_uncertainty=most)
+    gain = {"gain_change": ("gain", 0.9, 0.01)}
+    found = explanation_of(robots["mgr"], gain, posterior, gained, left)
+    assert found.verdict == verdict
+    assert found.may_be_chance == may_be_chance

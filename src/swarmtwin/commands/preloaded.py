@@ -27,7 +27,6 @@ PACKAGES = (
     *(
         "torch",
         "torch._dynamo",
-        "torch.onnx",
         "lightning",
         "safetensors.torch",
         "joblib",

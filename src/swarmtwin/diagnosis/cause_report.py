@@ -48,11 +48,10 @@ def leading_sets(posterior: CausePosterior, most: int) -> tuple[CauseSet, ...]:
 
 def _missed_nats(explained: Explanation, name: str) -> float:
     """Return by how many nats the session is less likely without a cause, the others beside it fitted anew."""
-    posterior = explained.posterior
-    others = {other for other in posterior.best.names if other != name}
-    alone = [one for one in posterior.sets if set(one.names) == others]
-    beside = alone[0] if alone else posterior.nothing
-    return posterior.best.fitted.total - beside.fitted.total
+    posterior, names = explained.posterior, explained.best.names
+    together = posterior.of_names(names) or posterior.best
+    beside = posterior.of_names([other for other in names if other != name]) or posterior.nothing
+    return together.fitted.total - beside.fitted.total
 
 
 def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str, ...]) -> str:

@@ -90,6 +90,18 @@ class CausePosterior:
             for key in sorted(logs, key=lambda key: -logs[key])
         ]
 
+    def of_names(self, names: Sequence[str]) -> EstimatedSet | None:
+        """Return the most probable set of just these causes; None where none was fitted."""
+        return next((one for one in self.sets if set(one.names) == set(names)), None)
+
+    def is_likelier_than_nothing(self, names: Sequence[str]) -> bool:
+        """Return whether a set of just these causes was fitted and is more probable than that of none."""
+        log = {
+            frozenset(one.names): float(own)
+            for one, own in zip(self.sets[::-1], self.log_probability[::-1], strict=True)
+        }
+        return log.get(frozenset(names), -math.inf) > log[frozenset()]
+
     def without(self, name: str) -> EstimatedSet:
         """Return the most probable set without a cause."""
         return next(one for one in self.sets if name not in one.names)

@@ -12,7 +12,9 @@
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,8 +25,8 @@ from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_test
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
-from swarmtwin.diagnosis.explanation import Explanation, explanation
-from swarmtwin.diagnosis.gains import Errors, gains, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.explanation import Explanation, explanation, left_by_nothing
+from swarmtwin.diagnosis.gains import Errors, Gains, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.left_over import Usual
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
@@ -74,25 +76,22 @@ def diagnose(
 
     # 3. Causes
     found = find_causes(reference, model, progress)
-    explained = explanation(model, found, usual_of(reference))
+    usual = usual_of(reference)
+    explained = explanation(model, found, usual)
 
     # 4. Finding
     _tell(progress, "what is left")
-    after = tests.run(explained.model, explained.best.fitted) if explained.best.names else dependences
     simulation = Simulation(reference.base, (), session.conditions)
-    extended = _extended(reference, simulation, explained, seed)
     transitions = session.transitions
     scored = transitions.where(held_out)
-    tracks = scored_tracks(measured, believable, scored)
-    errors = Errors.of(simulation, scored, tracks)
-    extended_errors = _errors_of(extended, session, scored, tracks) if extended else errors
-    gain = gains(errors, extended_errors, scored.run, settings.gain_draws, np.random.default_rng(seed))
-    objection, unfitted = None, reference.likelihood_of(session.where(held_out))
-    if extended:
-        usual = explained.motion_noise.usual
-        likelihood = likelihood_gain(unfitted, extended, settings.gain_draws, np.random.default_rng(seed), usual)
-        moves = extended.residual is not None or bool(arriving(explained.mechanisms))
-        objection = not_confirmed(gain, likelihood, settings.immaterial, moves)
+    runs = HeldOutRuns(reference, simulation, session, scored, scored_tracks(measured, believable, scored), seed)
+    judged = runs.judge(explained)
+    if judged.objection and explained.may_be_chance:
+        nothing = left_by_nothing(model, found, usual)
+        if nothing.verdict == "no_gap":  # what these causes gain was the fitted runs' own
+            explained, judged = nothing, runs.judge(nothing)
+    after = tests.run(explained.model, explained.best.fitted) if explained.best.names else dependences
+    extended, objection, unfitted = judged.extended, judged.objection, runs.unfitted
     named = reported_causes(explained, rng)
     limits = detection_limits(explained, unfitted)
     plan, drive = next_recording(explained, limits, seed)
@@ -100,7 +99,7 @@ def diagnose(
         verdict="unexplained" if objection else explained.verdict,
         causes=() if objection else named,
         depends_on=tuple(test.part for test in dependences if test.found) if explained.verdict != "no_gap" else (),
-        gain=gain,
+        gain=judged.gain,
         next_recording=None if objection else plan,
         left_over=tuple(test.part for test in after if test.found) if explained.is_something_left else (),
         tests=tuple(dependences),
@@ -128,10 +127,71 @@ def diagnose(
         held_out=held_out,
         residual_before=residual,
         residual_after=explained_residual,
-        runs_before=errors.open_loop,
-        runs_after=extended_errors.open_loop,
+        runs_before=runs.errors.open_loop,
+        runs_after=judged.errors.open_loop,
         next_drive=drive,
     )
+
+
+class HeldOutJudgement(NamedTuple):
+    """What runs that nothing was fitted to say of an explanation.
+
+    Attributes:
+        extended: the simulation with what was found; None where nothing is wrong.
+        errors: of that, or of the simulation as it was.
+        gain: of the extension.
+        objection: why they do not confirm it; None where they do.
+    """
+
+    extended: Simulation | None
+    errors: Errors
+    gain: Gains
+    objection: str | None
+
+
+@dataclass(frozen=True)
+class HeldOutRuns:
+    """Runs that nothing was fitted to.
+
+    Attributes:
+        reference: the reference.
+        simulation: as it was.
+        session: all of the session.
+        scored: the transitions of these runs.
+        tracks: what was driven in them, for open loop.
+        seed: of everything random.
+    """
+
+    reference: Reference
+    simulation: Simulation
+    session: MeasuredSession
+    scored: Transitions
+    tracks: list[Track]
+    seed: int
+
+    @cached_property
+    def errors(self) -> Errors:
+        """What the simulation errs in them as it was."""
+        return Errors.of(self.simulation, self.scored, self.tracks)
+
+    @cached_property
+    def unfitted(self) -> SessionLikelihood:
+        """The likelihood of these runs."""
+        every = self.reference.settings.verdict.held_out_every
+        return self.reference.likelihood_of(self.session.where(self.session.run % every == every - 1))
+
+    def judge(self, explained: Explanation) -> HeldOutJudgement:
+        """Extend the simulation by what was found, and measure what that gains."""
+        settings = self.reference.settings.verdict
+        extended = _extended(self.reference, self.simulation, explained, self.seed)
+        errors = _errors_of(extended, self.session, self.scored, self.tracks) if extended else self.errors
+        gain = gains(self.errors, errors, self.scored.run, settings.gain_draws, np.random.default_rng(self.seed))
+        if not extended:
+            return HeldOutJudgement(None, errors, gain, None)
+        usual, rng = explained.motion_noise.usual, np.random.default_rng(self.seed)
+        likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
+        moves = extended.residual is not None or bool(arriving(explained.mechanisms))
+        return HeldOutJudgement(extended, errors, gain, not_confirmed(gain, likelihood, settings.immaterial, moves))
 
 
 class DependenceTests:

@@ -1,6 +1,6 @@
 """Step 3, its end: what the causes of a session explain of what can be explained at all, and what is said of it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,8 +23,8 @@ class Explanation:
     Attributes:
         model: of the fitted runs, its noise that of what the causes leave.
         posterior: over sets of causes.
-        best: the most probable set, estimated anew in that model.
-        gained: nats that it gains over no cause.
+        best: the causes of the most probable set that can be told from doing nothing, estimated anew in that model.
+        gained: nats that they gain over no cause.
         left: what they leave over, in nats.
         motion_noise: how random the motion is beside these causes.
     """
@@ -57,8 +57,18 @@ class Explanation:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether the causes gain no more than the simulation's own uncertainty would."""
-        return self.gained <= self.left.uncertainty
+        """Whether the causes gain no more than the simulation's own uncertainty may, at most."""
+        return self.gained <= self.left.most_uncertainty
+
+    @property
+    def may_be_chance(self) -> bool:
+        """Whether the causes gain so little that no alarm would be raised, were it left over.
+
+        Not where one of them is read off the clock, or the motion is more random.
+        """
+        on_the_clock = any(self.model.read_off_clock(type(one)) for one in self.best.mechanisms)
+        gains_little = 0 < self.gained <= self.alarm + self.left.most_uncertainty
+        return gains_little and not on_the_clock and not self.names_motion_noise
 
     @property
     def _may_be_something_left(self) -> bool:
@@ -79,8 +89,8 @@ class Explanation:
         )
 
     @cached_property
-    def _telling(self) -> tuple[str, ...]:
-        """Those of the best causes that cannot be told from doing nothing, which may be a unit's own, left out.
+    def telling(self) -> tuple[str, ...]:
+        """The causes but for those that cannot be told from doing nothing, which may be a unit's own.
 
         That is asked where a cause acts to both sides of doing nothing: its estimate is as good as normal there.
         """
@@ -108,16 +118,16 @@ class Explanation:
     def names(self) -> tuple[str, ...]:
         """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
 
-        None where much is left, be it the simulation's uncertainty, where that would gain as much, where a value may
+        None where much is left, be it the simulation's uncertainty, where that may gain as much, where a value may
         lie at the end of what it can be, or where it takes many causes: a name would be made up. Nor one that may as
         well do nothing.
         """
         settings, posterior = self.model.settings.search, self.posterior
-        takes_many = len(self.best.names) > settings.most_causes
+        takes_many = len(posterior.best.names) > settings.most_causes
         if self._may_be_something_left or self.is_uncertain or self._is_at_an_end or takes_many:
             return ()
         named = []
-        for name in self._telling:
+        for name in self.best.names:
             rivals = posterior.rivals(name, settings.rival_from)
             is_leading = posterior.probability(name) >= settings.reported_from
             if is_leading and posterior.probability(name, *rivals) >= settings.named_from:
@@ -138,7 +148,7 @@ class Explanation:
             return "unexplained"
         if self.names or self.names_motion_noise:
             return "explained"
-        return "unexplained" if self._telling and not self.is_uncertain else "no_gap"
+        return "unexplained" if self.best.names and not self.is_uncertain else "no_gap"
 
     @cached_property
     def mechanisms(self) -> tuple[Mechanism, ...]:
@@ -149,14 +159,33 @@ class Explanation:
 def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual | None = None) -> Explanation:
     """Look at what the best causes leave of a session.
 
+    Causes that may as well do nothing are left out, and the others estimated without them: the values of two that make
+    up for each other mean nothing one by one.
+
     Args:
         model: of the fitted runs.
         posterior: over sets of causes.
         usual: what the reference's own errors show likewise; None: nothing.
     """
     usual = usual or Usual()
-    refined = model.explained_by(posterior.best.mechanisms)
-    best = with_uncertain_simulation(refined, estimate(refined, posterior.best.mechanisms, polish=True, final=True))
+    found = _explained_by(posterior.best.mechanisms, model, posterior, usual)
+    while len(found.telling) < len(found.best.names):
+        kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name in found.telling]
+        likelier = posterior.is_likelier_than_nothing([mechanism.name for mechanism in kept])
+        found = _explained_by(kept if likelier else (), model, posterior, usual)
+    return found
+
+
+def left_by_nothing(model: SessionLikelihood, posterior: CausePosterior, usual: Usual) -> Explanation:
+    """Look at what is left of a session without any cause, given as in `explanation`."""
+    return _explained_by((), model, posterior, usual)
+
+
+def _explained_by(
+    mechanisms: Sequence[Mechanism], model: SessionLikelihood, posterior: CausePosterior, usual: Usual
+) -> Explanation:
+    refined = model.explained_by(mechanisms)
+    best = with_uncertain_simulation(refined, estimate(refined, mechanisms, polish=True, final=True))
     gained = best.fitted.total - refined.evaluate([]).total
     noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
     return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise)

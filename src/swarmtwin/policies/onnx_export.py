@@ -1,20 +1,21 @@
 """A policy as ONNX: what runs where there is no torch, on the robots' controller."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
 import onnxruntime  # type: ignore[import-untyped]
-import torch
+from onnx import helper, numpy_helper
+from torch import Tensor, nn
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import whole_file
-from swarmtwin.learning.progress_bars import quieter
-from swarmtwin.policies.policy import Policy
+from swarmtwin.policies.policy import ACTIVATIONS, Policy
 
 ONNX = "policy.onnx"
+FLOAT = onnx.TensorProto.FLOAT
+OPERATORS = {ACTIVATIONS["relu"]: "Relu", ACTIVATIONS["tanh"]: "Tanh"}
 
 
 def write_onnx(path: Path, policy: Policy) -> None:
@@ -55,30 +56,48 @@ def check_equal(content: bytes, policy: Policy, largest_difference: float = 1e-5
 
 
 def onnx_model(policy: Policy) -> onnx.ModelProto:
-    """Return the policy's forward pass as torch exports it; the same policy gives the same bytes."""
-    example = torch.zeros(2, len(policy.observation_names))
-    # what the export says of libraries that are not installed, and of its own future, is nothing for a user
-    with quieter("torch.onnx"), warnings.catch_warnings(action="ignore"):
-        program = torch.onnx.export(
-            policy.eval(),
-            (example,),
-            input_names=["observation"],
-            output_names=["command"],
-            dynamic_shapes=({0: torch.export.Dim("vehicles")},),
-            opset_version=18,
-            dynamo=True,
-            verbose=False,
-        )
-    assert program is not None
-    model: onnx.ModelProto = program.model_proto
-    _forget_source(model)
-    onnx.checker.check_model(model)
+    """Return the policy's forward pass as operators of ONNX; the same policy gives the same bytes.
+
+    A perceptron is few of them: torch's own export would take seconds, and note the paths of the machine that exported.
+    """
+    nodes: list[onnx.NodeProto] = []
+    constants: list[onnx.TensorProto] = []
+
+    def constant(name: str, values: Tensor | np.ndarray) -> str:
+        constants.append(numpy_helper.from_array(np.asarray(values, np.float32), name))
+        return name
+
+    def apply(operator: str, *inputs: str, **options: Any) -> str:
+        output = f"{operator.lower()}_{len(nodes)}"
+        nodes.append(helper.make_node(operator, inputs, [output], **options))
+        return output
+
+    share = "observation"
+    for index, layer in enumerate(policy.network):
+        if isinstance(layer, nn.Linear):
+            weight, bias = (
+                constant(f"{index}.{name}", values.detach().cpu())
+                for name, values in (("weight", layer.weight), ("bias", layer.bias))
+            )
+            share = apply("Gemm", share, weight, bias, transB=1)
+        else:
+            share = apply(OPERATORS[type(layer)], share)
+    if policy.architecture.squashing == "tanh":
+        share = apply("Tanh", share)
+    else:
+        share = apply("Clip", share, constant("least", np.array(-1.0)), constant("most", np.array(1.0)))
+    low, high = policy.command_low.cpu(), policy.command_high.cpu()
+    half, least = constant("half_range", (high - low) / 2), constant("command_low", low)
+    command = apply("Add", least, apply("Mul", half, apply("Add", share, constant("one", np.ones(1)))))
+    apply("Min", apply("Max", command, least), constant("command_high", high))
+    nodes[-1].output[0] = "command"
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info("observation", FLOAT, ["vehicles", len(policy.observation_names)])],
+        [helper.make_tensor_value_info("command", FLOAT, ["vehicles", len(low)])],
+        constants,
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    onnx.checker.check_model(model, full_check=True)
     return model
-
-
-def _forget_source(model: onnx.ModelProto) -> None:
-    """Take out what the export notes of the source code: its paths are those of the machine that exported it."""
-    graph = model.graph
-    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info, *graph.initializer):
-        annotated: Any = part
-        annotated.ClearField("metadata_props")
