@@ -15,8 +15,9 @@ from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import load_preparation, load_transitions
 
 QUICK = ("generator.mean_model_steps=40", "generator.noise_steps=40", "generator.batch_size=64")
-GENERATE = ("generate", "robot=mgr", "recording=reference", *QUICK)
-TRAIN = ("train", "model=mlp", "model.steps=60", "recipe.batch_size=128", "seeds=1")
+WITH_PICTURES = ("generate", "robot=mgr", "recording=reference", *QUICK)
+GENERATE = (*WITH_PICTURES, "pictures=false")
+TRAIN = ("train", "model=mlp", "model.steps=60", "recipe.batch_size=128", "seeds=1", "pictures=false")
 
 
 def runs():
@@ -50,7 +51,7 @@ def test_the_whole_way_to_a_simulation_on_a_machine_without_recordings(swarmtwin
 
 def test_what_generate_leaves_is_whole_tracked_and_the_same_for_the_same_seed(swarmtwin, workshop):
     for output in ("first", "second"):
-        assert swarmtwin(*GENERATE, "seed=3", f"output={output}").status == 0
+        assert swarmtwin(*WITH_PICTURES, "seed=3", f"output={output}").status == 0
     for name in ("generator/weights.safetensors", "generator/generator.yaml", "quality.json", "history.csv"):
         assert (workshop / "first" / name).read_bytes() == (workshop / "second" / name).read_bytes(), name
     assert {path.name for path in (workshop / "first").iterdir()} == {

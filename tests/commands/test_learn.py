@@ -22,7 +22,8 @@ from tiny_policies import provenance, seeker, task_named
 SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
 TASK = ("task=obstacle", "task.steps=40", "task.reach_mm=300", "task.distance_mm=360", "task.radius_mm=[5,10]")
 SMALL = ("policy.layers=[16]", "policy.worlds=4", "policy.steps=150", "policy.random_steps=20", "policy.batch_size=64")
-QUICK = ("learn", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "final_scenes=100")
+WITH_PICTURES = ("learn", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "final_scenes=100")
+QUICK = (*WITH_PICTURES, "pictures=false")
 FILES = [
     "history.csv",
     "history.png",
@@ -55,7 +56,7 @@ def runs():
 @pytest.mark.usefixtures("still_challenger")
 def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, workshop):
     model("mlp")
-    answer = swarmtwin(*QUICK, "seeds=2", "output=out")
+    answer = swarmtwin(*WITH_PICTURES, "seeds=2", "output=out")
     assert answer.status == 0, answer.error
     assert sorted(path.name for path in (workshop / "out").iterdir()) == FILES
     policy = load_policy(workshop / "out")

@@ -21,8 +21,8 @@ from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import SPLITS, GeneratorOrigin, load_preparation, load_transitions
 from swarmtwin.transitions.preparation import save_preparation
 
-MLP = ("train", "recording=reference", "model=mlp", "model.steps=150", "recipe.batch_size=128")
-QUICK = ("train", "recording=reference", "recipe.epochs=2", "seeds=1", "register=false")
+MLP = ("train", "recording=reference", "model=mlp", "model.steps=150", "recipe.batch_size=128", "pictures=false")
+QUICK = ("train", "recording=reference", "recipe.epochs=2", "seeds=1", "register=false", "pictures=false")
 
 WAIT_IN_EPOCH_5_OF_SEED_2 = """
 import time
