@@ -6,18 +6,14 @@
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
    them leaves (`explanation`, `left_over`, `error_history`, `motion_noise_change`).
-4. Finding: causes as they are reported and the leading sets, gains on held-out runs, the smallest effects that the
-   session would have shown, the next recording (`cause_report`, `gains`, `detection_limits` with `sized_causes` and
-   `random_limits`, `next_recording`, `result`; pictures in `report/`).
+4. Finding: the extended simulation and its gains on held-out runs, causes as they are reported and the leading sets,
+   the smallest effects that the session would have shown, the next recording (`extension`, `gains`, `cause_report`,
+   `detection_limits` with `sized_causes` and `random_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from swarmtwin.diagnosis.cause_report import leading_sets, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
@@ -25,27 +21,22 @@ from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_test
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
-from swarmtwin.diagnosis.explanation import Explanation, explanation, left_by_nothing
-from swarmtwin.diagnosis.gains import Errors, Gains, gains, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.explanation import explanation, left_by_nothing
+from swarmtwin.diagnosis.extension import HeldOutRuns
 from swarmtwin.diagnosis.left_over import Usual
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
     MechanismClass,
     SessionLikelihood,
-    arriving,
     loses_commands,
 )
-from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
-from swarmtwin.recordings.recording import Recording, Track
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.mechanism import Mechanism, offered
-from swarmtwin.simulation.mechanisms import noise_change
-from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.transitions import Transitions
 
 
 def diagnose(
@@ -62,11 +53,12 @@ def diagnose(
     Raises:
         UserError: too few runs, another robot, constant commands, or commands that the reference does not cover.
     """
-    settings, rng = reference.settings.verdict, np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
 
     # 1. Reference and residual
     session, believable, set_aside = reference.comparable(measured)
-    held_out = session.run % settings.held_out_every == settings.held_out_every - 1
+    runs = HeldOutRuns(reference, session, measured, believable, seed)
+    held_out = runs.rows
     model = reference.likelihood_of(session.where(~held_out))
 
     # 2. Dependence
@@ -81,10 +73,6 @@ def diagnose(
 
     # 4. Finding
     _tell(progress, "what is left")
-    simulation = Simulation(reference.base, (), session.conditions)
-    transitions = session.transitions
-    scored = transitions.where(held_out)
-    runs = HeldOutRuns(reference, simulation, session, scored, scored_tracks(measured, believable, scored), seed)
     judged = runs.judge(explained)
     if judged.objection and explained.may_be_chance:
         nothing = left_by_nothing(model, found, usual)
@@ -104,8 +92,8 @@ def diagnose(
         left_over=tuple(test.part for test in after if test.found) if explained.is_something_left else (),
         tests=tuple(dependences),
         robot=reference.robot.name,
-        vehicles=tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle)),
-        runs={"fitted": model.session.runs, "held_out": len(np.unique(scored.run))},
+        vehicles=tuple(session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle)),
+        runs={"fitted": model.session.runs, "held_out": len(np.unique(runs.scored.run))},
         transitions={"used": len(session), "set_aside": set_aside},
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
@@ -121,9 +109,9 @@ def diagnose(
         explained_residual = _together((rows, _residual_of(extended, part)) for rows, part in parts)
     return DiagnosedSession(
         result=result,
-        simulation=simulation,
+        simulation=runs.simulation,
         extended=extended,
-        transitions=transitions,
+        transitions=session.transitions,
         held_out=held_out,
         residual_before=residual,
         residual_after=explained_residual,
@@ -131,67 +119,6 @@ def diagnose(
         runs_after=judged.errors.open_loop,
         next_drive=drive,
     )
-
-
-class HeldOutJudgement(NamedTuple):
-    """What runs that nothing was fitted to say of an explanation.
-
-    Attributes:
-        extended: the simulation with what was found; None where nothing is wrong.
-        errors: of that, or of the simulation as it was.
-        gain: of the extension.
-        objection: why they do not confirm it; None where they do.
-    """
-
-    extended: Simulation | None
-    errors: Errors
-    gain: Gains
-    objection: str | None
-
-
-@dataclass(frozen=True)
-class HeldOutRuns:
-    """Runs that nothing was fitted to.
-
-    Attributes:
-        reference: the reference.
-        simulation: as it was.
-        session: all of the session.
-        scored: the transitions of these runs.
-        tracks: what was driven in them, for open loop.
-        seed: of everything random.
-    """
-
-    reference: Reference
-    simulation: Simulation
-    session: MeasuredSession
-    scored: Transitions
-    tracks: list[Track]
-    seed: int
-
-    @cached_property
-    def errors(self) -> Errors:
-        """What the simulation errs in them as it was."""
-        return Errors.of(self.simulation, self.scored, self.tracks)
-
-    @cached_property
-    def unfitted(self) -> SessionLikelihood:
-        """The likelihood of these runs."""
-        every = self.reference.settings.verdict.held_out_every
-        return self.reference.likelihood_of(self.session.where(self.session.run % every == every - 1))
-
-    def judge(self, explained: Explanation) -> HeldOutJudgement:
-        """Extend the simulation by what was found, and measure what that gains."""
-        settings = self.reference.settings.verdict
-        extended = _extended(self.reference, self.simulation, explained, self.seed)
-        errors = _errors_of(extended, self.session, self.scored, self.tracks) if extended else self.errors
-        gain = gains(self.errors, errors, self.scored.run, settings.gain_draws, np.random.default_rng(self.seed))
-        if not extended:
-            return HeldOutJudgement(None, errors, gain, None)
-        usual, rng = explained.motion_noise.usual, np.random.default_rng(self.seed)
-        likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
-        moves = extended.residual is not None or bool(arriving(explained.mechanisms))
-        return HeldOutJudgement(extended, errors, gain, not_confirmed(gain, likelihood, settings.immaterial, moves))
 
 
 class DependenceTests:
@@ -250,73 +177,6 @@ def usual_of(reference: Reference) -> Usual:
         return max(nats_by_history(model, model.evaluate([])), 0.0) / len(model.session)
 
     return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session))
-
-
-def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:
-    """Return an extended simulation's errors; delays act to the moment where it is known when commands were sent."""
-    late = [mechanism for mechanism in extended.mechanisms if mechanism.latency_s() > 0]
-    if not session.sent or not late or extended.residual:
-        return Errors.of(extended, scored, tracks)
-    late_s = sum(mechanism.latency_s() for mechanism in late)
-    others = [mechanism for mechanism in extended.mechanisms if mechanism not in late]
-    log = session.sent._replace(transitions=scored)
-    command, previous, earlier = log.late(late_s)
-    return Errors.of(
-        Simulation(extended.dynamics, others, extended.conditions),
-        replace(scored, command=command, previous_command=previous, earlier_command=earlier),
-        [log.acting_late(track, late_s) for track in tracks],
-    )
-
-
-def _extended(reference: Reference, simulation: Simulation, explained: Explanation, seed: int) -> Simulation | None:
-    """Return the simulation with what was found, mechanisms or a learned residual; None where nothing is wrong."""
-    if explained.verdict == "no_gap":
-        return None
-    mechanisms = _with_own_unit(reference, explained) if explained.mechanisms else ()
-    if explained.names_motion_noise:
-        mechanisms = (*mechanisms, noise_change.Config(factor=explained.motion_noise.factor))
-    residual = None
-    if explained.verdict == "unexplained":
-        model, session = explained.model, explained.model.session
-        mechanisms = explained.best.mechanisms if explained.share >= 0.5 else ()
-        given = session.situation
-        assert given.previous_command is not None
-        residual, _ = ResidualModel.learn(
-            model.predictor.moment(),
-            given.command,
-            given.previous_command,
-            session.run,
-            session.residual_of(model.predictor.most_likely_twist(mechanisms)),
-            torch.as_tensor(model.noise.spread(model.motion)),
-            seed,
-        )
-    return Simulation(simulation.dynamics, mechanisms, simulation.conditions, residual)
-
-
-def _with_own_unit(reference: Reference, explained: Explanation) -> tuple[Mechanism, ...]:
-    """Return the causes, and beside them what is a vehicle's own by fabrication, where the reference does not know it.
-
-    That is no cause, but without it the extended simulation would be one of another vehicle.
-    """
-    model, named = explained.model, explained.mechanisms
-    if len(model.strange) != 1 or len(model.session.transitions.vehicles) != 1:
-        return named
-    known = {one.name for one in named}
-    kinds = {name: kind for name, kind in offered(model.robot, model.session.conditions).items() if name not in known}
-    own = [
-        kinds[name].at(_doing_nothing(kinds[name], model))
-        for name in ("gain_change", "actuator_asymmetry")
-        if name in kinds
-    ]
-    alone = SessionLikelihood(
-        reference.base, reference.noise, model.session, (), 0.0, reference.discrepancy, reference.settings
-    )
-    return estimate(alone, [*named, *own]).mechanisms
-
-
-def _doing_nothing(kind: type[Mechanism], model: SessionLikelihood) -> dict[str, float]:
-    parameters = kind.parameters_of(model.robot, model.session.conditions)
-    return {name: one.null_value for name, one in parameters.items() if one.null_value is not None}
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:

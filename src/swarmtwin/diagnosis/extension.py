@@ -1,0 +1,168 @@
+"""Step 4. The simulation extended by what was found, and what runs that nothing was fitted to say of it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from swarmtwin.diagnosis.estimation import estimate
+from swarmtwin.diagnosis.explanation import Explanation
+from swarmtwin.diagnosis.gains import Errors, Gains, gains, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
+from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.recordings.recording import Recording, Track
+from swarmtwin.simulation.mechanism import Mechanism, offered
+from swarmtwin.simulation.mechanisms import noise_change
+from swarmtwin.simulation.residual_model import ResidualModel
+from swarmtwin.simulation.simulation import Simulation
+from swarmtwin.transitions import Transitions
+
+
+class HeldOutJudgement(NamedTuple):
+    """What runs that nothing was fitted to say of an explanation.
+
+    Attributes:
+        extended: the simulation with what was found; None where nothing is wrong.
+        errors: of that, or of the simulation as it was.
+        gain: of the extension.
+        objection: why they do not confirm it; None where they do.
+    """
+
+    extended: Simulation | None
+    errors: Errors
+    gain: Gains
+    objection: str | None
+
+
+@dataclass(frozen=True)
+class HeldOutRuns:
+    """Runs that nothing was fitted to.
+
+    Attributes:
+        reference: the reference.
+        session: all N transitions that it can speak for.
+        measured: the recording of these.
+        believable: its transitions that are no outliers.
+        seed: of everything random.
+    """
+
+    reference: Reference
+    session: MeasuredSession
+    measured: Recording
+    believable: Transitions
+    seed: int
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Which transitions of the session, (N,), are theirs: those of every so many-th run."""
+        every = self.reference.settings.verdict.held_out_every
+        theirs: np.ndarray = self.session.run % every == every - 1
+        return theirs
+
+    @cached_property
+    def scored(self) -> Transitions:
+        """Their transitions."""
+        return self.session.transitions.where(self.rows)
+
+    @cached_property
+    def tracks(self) -> list[Track]:
+        """What was driven in them, for open loop."""
+        return scored_tracks(self.measured, self.believable, self.scored)
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        """The simulation as it was."""
+        return Simulation(self.reference.base, (), self.session.conditions)
+
+    @cached_property
+    def errors(self) -> Errors:
+        """What the simulation errs in them as it was."""
+        return Errors.of(self.simulation, self.scored, self.tracks)
+
+    @cached_property
+    def unfitted(self) -> SessionLikelihood:
+        """The likelihood of these runs."""
+        return self.reference.likelihood_of(self.session.where(self.rows))
+
+    def judge(self, explained: Explanation) -> HeldOutJudgement:
+        """Extend the simulation by what was found, and measure what that gains."""
+        settings = self.reference.settings.verdict
+        extended = _extended(self.reference, self.simulation, explained, self.seed)
+        errors = _errors_of(extended, self.session, self.scored, self.tracks) if extended else self.errors
+        gain = gains(self.errors, errors, self.scored.run, settings.gain_draws, np.random.default_rng(self.seed))
+        if not extended:
+            return HeldOutJudgement(None, errors, gain, None)
+        usual, rng = explained.motion_noise.usual, np.random.default_rng(self.seed)
+        likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
+        moves = extended.residual is not None or bool(arriving(explained.mechanisms))
+        return HeldOutJudgement(extended, errors, gain, not_confirmed(gain, likelihood, settings.immaterial, moves))
+
+
+def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:
+    """Return an extended simulation's errors; delays act to the moment where it is known when commands were sent."""
+    late = [mechanism for mechanism in extended.mechanisms if mechanism.latency_s() > 0]
+    if not session.sent or not late or extended.residual:
+        return Errors.of(extended, scored, tracks)
+    late_s = sum(mechanism.latency_s() for mechanism in late)
+    others = [mechanism for mechanism in extended.mechanisms if mechanism not in late]
+    log = session.sent._replace(transitions=scored)
+    command, previous, earlier = log.late(late_s)
+    return Errors.of(
+        Simulation(extended.dynamics, others, extended.conditions),
+        replace(scored, command=command, previous_command=previous, earlier_command=earlier),
+        [log.acting_late(track, late_s) for track in tracks],
+    )
+
+
+def _extended(reference: Reference, simulation: Simulation, explained: Explanation, seed: int) -> Simulation | None:
+    """Return the simulation with what was found, mechanisms or a learned residual; None where nothing is wrong."""
+    if explained.verdict == "no_gap":
+        return None
+    mechanisms = _with_own_unit(reference, explained) if explained.mechanisms else ()
+    if explained.names_motion_noise:
+        mechanisms = (*mechanisms, noise_change.Config(factor=explained.motion_noise.factor))
+    residual = None
+    if explained.verdict == "unexplained":
+        model, session = explained.model, explained.model.session
+        mechanisms = explained.best.mechanisms if explained.share >= 0.5 else ()
+        given = session.situation
+        assert given.previous_command is not None
+        residual, _ = ResidualModel.learn(
+            model.predictor.moment(),
+            given.command,
+            given.previous_command,
+            session.run,
+            session.residual_of(model.predictor.most_likely_twist(mechanisms)),
+            torch.as_tensor(model.noise.spread(model.motion)),
+            seed,
+        )
+    return Simulation(simulation.dynamics, mechanisms, simulation.conditions, residual)
+
+
+def _with_own_unit(reference: Reference, explained: Explanation) -> tuple[Mechanism, ...]:
+    """Return the causes, and beside them what is a vehicle's own by fabrication, where the reference does not know it.
+
+    That is no cause, but without it the extended simulation would be one of another vehicle.
+    """
+    model, named = explained.model, explained.mechanisms
+    if len(model.strange) != 1 or len(model.session.transitions.vehicles) != 1:
+        return named
+    known = {one.name for one in named}
+    kinds = {name: kind for name, kind in offered(model.robot, model.session.conditions).items() if name not in known}
+    own = [
+        kinds[name].at(_doing_nothing(kinds[name], model))
+        for name in ("gain_change", "actuator_asymmetry")
+        if name in kinds
+    ]
+    alone = SessionLikelihood(
+        reference.base, reference.noise, model.session, (), 0.0, reference.discrepancy, reference.settings
+    )
+    return estimate(alone, [*named, *own]).mechanisms
+
+
+def _doing_nothing(kind: type[Mechanism], model: SessionLikelihood) -> dict[str, float]:
+    parameters = kind.parameters_of(model.robot, model.session.conditions)
+    return {name: one.null_value for name, one in parameters.items() if one.null_value is not None}
