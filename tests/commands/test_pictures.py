@@ -7,7 +7,7 @@ from pathlib import Path
 import mlflow
 import pytest
 from test_experiments import COMPARISON
-from test_learn import QUICK
+from test_learn import WITH_PICTURES
 
 from swarmtwin.tracking.store import use_store
 from tiny_policies import save_seeker, simulation
@@ -38,7 +38,7 @@ SMALL = ("generator.mean_model_steps=10", "generator.noise_steps=10")
         (("train", "recording=reference", "model=mlp", "model.steps=12", "register=false", "seeds=2"), {"history.png"}),
         (("generate", "robot=mgr", "recording=reference", *SMALL), {"quality.png", "history.png"}),
         (("evaluate", "simulation=mlp", "recording=other_vehicle"), {"runs.png", "scatter.png"}),
-        ((*QUICK, "seeds=2", "register=false"), {"history.png", "rollout.mp4"}),
+        ((*WITH_PICTURES, "seeds=2", "register=false"), {"history.png", "rollout.mp4"}),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
