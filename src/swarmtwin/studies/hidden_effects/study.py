@@ -229,13 +229,16 @@ def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
     rounded.round(4).to_csv(folder / "results.csv", index=False)
     parameters.to_csv(folder / "parameters.csv", index=False)
     write_text(folder / "metrics.json", json.dumps(summary, indent=1, default=Proportion.model_dump) + "\n")
-    figures: dict[str, Figure] = {
-        "confusion": confusion_figure(table),
-        "detection": detection_figure(table),
-        "parameters": parameters_figure(parameters),
-        "calibration": calibration_figure(confidences_table(results)),
-        "clean": clean_figure(table),
-    }
+    figures: dict[str, Figure] = {}
+    if (table.kind != "clean").any():
+        figures = {
+            "confusion": confusion_figure(table),
+            "detection": detection_figure(table),
+            "parameters": parameters_figure(parameters),
+            "calibration": calibration_figure(confidences_table(results)),
+        }
+    if (table.kind == "clean").any():
+        figures["clean"] = clean_figure(table)
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png")
     pictures = "\n\n".join(f"![{name}]({name}.png)" for name in figures)

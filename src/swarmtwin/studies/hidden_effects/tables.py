@@ -9,8 +9,12 @@ from swarmtwin.studies.study_table import StudyTable
 Families = dict[str, dict[str, Any]]
 
 
-def study_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
-    """Return all tables, the most important first."""
+def study_tables(summary: dict[str, Any]) -> list[StudyTable]:
+    """Return all tables that have rows, the most important first."""
+    return [table for table in _all_tables(summary) if table.rows]
+
+
+def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
     yield _marks_table(summary)
     for family, own in summary["families"].items():
         yield _mechanisms_table(family, own)
@@ -117,10 +121,11 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         ("peak memory, MB: median, most", "–, ≤ 2,000", lambda own: _both(own["memory_mb"], ",.0f")),
         ("diagnoses that failed", "0", lambda own: _told(own["failed"])),
     ]
+    told = [[name, *map(tell, families.values()), mark] for name, mark, tell in rows]
     return StudyTable(
         f"{summary['cases']:,} hidden and clean sessions",
         ("", *families, "mark"),
-        [[name, *map(tell, families.values()), mark] for name, mark, tell in rows],
+        [row for row in told if set(row[1:-1]) != {"–"}],
     )
 
 
