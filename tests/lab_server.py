@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -82,9 +83,7 @@ def check_a_model_goes_round(swarmtwin, workshop, monkeypatch, address):
     monkeypatch.setenv("MLFLOW_TRACKING_URI", address)
     trained = swarmtwin("train", *QUICK_TRAINING, "output=model")
     assert trained.status == 0, trained.error
-    for file in (workshop / "model").rglob("*"):
-        if file.is_file():
-            file.unlink()
+    shutil.rmtree(workshop / "model")
     model = "simulation=models:/mgr-dynamics@challenger"
     measured = swarmtwin("evaluate", model, "recording=other_vehicle", "output=evaluation")
     assert measured.status == 0, measured.error

@@ -7,14 +7,18 @@ from pathlib import Path
 import pytest
 
 from swarmtwin.errors import UserError
-from swarmtwin.learning.ray_cluster import run_on_cluster
-
-pytestmark = pytest.mark.services
+from swarmtwin.learning.ray_cluster import CalledFrom, run_on_cluster
 
 
 @pytest.fixture(autouse=True)
-def ray():
-    return pytest.importorskip("ray", reason="pip install 'swarmtwin[ray]'")
+def ray(request):
+    if request.node.get_closest_marker("services"):
+        pytest.importorskip("ray", reason="pip install 'swarmtwin[ray]'")
+
+
+def test_a_machine_that_does_not_see_the_folder_is_told_of(tmp_path):
+    with pytest.raises(UserError, match=r"^a machine of the cluster does not see .*nowhere: call the command in a fol"):
+        CalledFrom(tmp_path / "nowhere", {}).go()
 
 
 def job(work):
@@ -27,6 +31,7 @@ def job(work):
     return Job()
 
 
+@pytest.mark.services
 def test_results_are_in_order_and_reports_come_to_this_process(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SWARMTWIN_SAYS", "so")
@@ -48,6 +53,7 @@ def test_results_are_in_order_and_reports_come_to_this_process(monkeypatch, tmp_
     assert heard[0][0] == heard[1][0]
 
 
+@pytest.mark.services
 def test_what_a_job_raises_is_raised_here():
     def fail(report):
         raise UserError("this recording has no rows")
@@ -56,6 +62,7 @@ def test_what_a_job_raises_is_raised_here():
         run_on_cluster([job(fail)], print, None, "cluster=local")
 
 
+@pytest.mark.services
 def test_a_job_that_is_lost_again_and_again_is_told_of():
     def die(report):
         os.kill(os.getpid(), signal.SIGKILL)
@@ -64,6 +71,7 @@ def test_a_job_that_is_lost_again_and_again_is_told_of():
         run_on_cluster([job(die)], print, None, "cluster=local")
 
 
+@pytest.mark.services
 def test_a_cluster_that_is_not_there_is_told_of():
     with pytest.raises(UserError, match=r"^cluster=auto: no Ray cluster answers at auto"):
         run_on_cluster([job(print)], print, "auto", "cluster=auto")

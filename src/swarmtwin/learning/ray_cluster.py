@@ -30,7 +30,15 @@ class CalledFrom(NamedTuple):
         return cls(Path.cwd(), {name: value for name, value in os.environ.items() if name.startswith(PASSED_ON)})
 
     def go(self) -> None:
-        """Go there."""
+        """Go there.
+
+        Raises:
+            UserError: this machine does not see the folder.
+        """
+        if not self.folder.is_dir():
+            raise UserError(
+                f"a machine of the cluster does not see {self.folder}: call the command in a folder that all machines see"
+            )
         os.chdir(self.folder)
         os.environ.update(self.environment)
 
@@ -73,7 +81,7 @@ def run_on_cluster(jobs: "Sequence[Job[Result]]", report: "Report", address: str
         what: the option that asks for it, in a message.
 
     Raises:
-        UserError: as of `ray_cluster`, or a job was lost again and again.
+        UserError: as of `ray_cluster`, a machine does not see this folder, or a job was lost again and again.
         Exception: a job or the report raised it.
     """
     with ray_cluster(address, what):
