@@ -68,7 +68,7 @@ def test_the_first_sessions_of_each_kind_are_judged_with_the_true_model(swarmtwi
     assert answer.status == 0, answer.error
     drawn = list(asked.values())
     assert drawn == [True, False, True, True, False, False] * 2
-    assert "what nobody can do much better" in answer.shown
+    assert "With the true model in hand, on the same sessions" in answer.shown
     report = (workshop / "study" / "report.md").read_text()
     assert "| formulas: oracle | 3 | – | – | – | 1 of 1 | – | – | 0 of 2 | – | 60.0, 60.0 | 0 of 3 |" in report
     assert "| formulas: diagnosis | 3 | – | – | – | 0 of 1 | – | – | 0 of 2 | – | 5.0, 5.0 | 0 of 3 |" in report

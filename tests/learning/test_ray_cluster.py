@@ -17,7 +17,7 @@ def ray(request):
 
 
 def test_a_machine_that_does_not_see_the_folder_is_told_of(tmp_path):
-    with pytest.raises(UserError, match=r"^a machine of the cluster does not see .*nowhere: call the command in a fol"):
+    with pytest.raises(UserError, match=r"^a machine of the cluster does not see .*nowhere: call the command where"):
         CalledFrom(tmp_path / "nowhere", {}).go()
 
 

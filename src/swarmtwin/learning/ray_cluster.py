@@ -37,7 +37,7 @@ class CalledFrom(NamedTuple):
         """
         if not self.folder.is_dir():
             raise UserError(
-                f"a machine of the cluster does not see {self.folder}: call the command in a folder that all machines see"
+                f"a machine of the cluster does not see {self.folder}: call the command where all machines see it"
             )
         os.chdir(self.folder)
         os.environ.update(self.environment)

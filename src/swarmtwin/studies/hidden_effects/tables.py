@@ -63,7 +63,7 @@ def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
 def _true_model_table(summary: dict[str, Any]) -> StudyTable:
     """Return what the true model makes of the same sessions: how far a diagnosis could come."""
     return StudyTable(
-        "With the true model in hand, on the same sessions: what nobody can do much better",
+        "With the true model in hand, on the same sessions",
         (
             "family: method",
             "sessions",
