@@ -119,8 +119,8 @@ class Explanation:
         """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
 
         None where much is left, be it the simulation's uncertainty, where that may gain as much, where a value may
-        lie at the end of what it can be, or where it takes many causes: a name would be made up. Nor one that may as
-        well do nothing.
+        lie at the end of what it can be, or where it takes many causes: a name would be made up. One that may as well
+        do nothing is not among the causes any more.
         """
         settings, posterior = self.model.settings.search, self.posterior
         takes_many = len(posterior.best.names) > settings.most_causes
