@@ -7,6 +7,7 @@ from exact_base import ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.explanation import explanation
+from swarmtwin.diagnosis.gain_by_chance import nats_by_chance, sought_kinds
 from swarmtwin.diagnosis.left_over import nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
@@ -105,3 +106,25 @@ def test_what_depends_on_little_is_not_drowned_by_all_that_errors_might_depend_o
     by_everything = np.diff([log_density(one, None).sum() for one in np.moveaxis(residual, -1, 0)])[0]
     assert by_everything < found.alarm < found.left.by_situation
     assert found.verdict == "unexplained"
+
+
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_causes_gain_less_by_chance_where_the_simulation_is_sure_and_less_than_regressions_do(robots, robot):
+    by_chance, by_regression = {}, {}
+    for sure in (True, False):
+        model = likelihood(robots[robot], sure, size=0.2)
+        fitted = model.evaluate([])
+        by_chance[sure] = nats_by_chance(model, fitted.residual, 40)
+        by_regression[sure] = nats_of_uncertainty(model, fitted, model.disagreement, 12)[:, 0]
+    assert by_chance[True].mean() < by_chance[False].mean() < by_regression[False].mean()
+
+
+def test_what_the_best_cause_gains_by_chance_holds_what_it_gains_of_another_simulation_as_uncertain(robots):
+    """Nothing is wrong, but the simulation is: the search gains no more than the bootstrap says that it may."""
+    model = likelihood(robots["mgr"], sure=False, size=0.2)
+    kinds = {name: kind for name, kind in sought_kinds(model).items() if name in ("gain_change", "dead_band")}
+    posterior = CauseSearch(model, kinds, None).run()
+    single = [one for one in posterior.sets if len(one.names) == 1]
+    gained = max(one.fitted.total for one in single) - posterior.nothing.fitted.total
+    drawn = nats_by_chance(model, model.evaluate([]).residual, 100)
+    assert gained < drawn.mean() + 3 * drawn.std()

@@ -164,8 +164,15 @@ def test_beside_a_cause_that_may_do_nothing_the_others_are_estimated_anew(robots
 )
 def test_what_gains_no_more_than_an_uncertain_simulation_is_no_cause(robots, gained, most, verdict, may_be_chance):
     posterior = posterior_of(gain_change=(gained, 1))
-    left = LeftOver(0.0, 0.0, most_uncertainty=most)
+    left = LeftOver(0.0, 0.0, most_uncertainty=most, most_by_chance=most)
     gain = {"gain_change": ("gain", 0.9, 0.01)}
     found = explanation_of(robots["mgr"], gain, posterior, gained, left)
     assert found.verdict == verdict
     assert found.may_be_chance == may_be_chance
+
+
+def test_causes_may_gain_less_by_chance_than_a_regression_does(robots):
+    posterior = posterior_of(gain_change=(40.0, 1))
+    left = LeftOver(0.0, 0.0, most_uncertainty=50.0, most_by_chance=30.0)
+    gain = {"gain_change": ("gain", 0.9, 0.01)}
+    assert explanation_of(robots["mgr"], gain, posterior, 40.0, left).names == ("gain_change",)

@@ -5,7 +5,7 @@
 2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
-   them leaves (`explanation`, `left_over`, `error_history`, `motion_noise_change`).
+   them leaves (`explanation`, `left_over`, `gain_by_chance`, `error_history`, `motion_noise_change`).
 4. Finding: the extended simulation and its gains on held-out runs, causes as they are reported and the leading sets,
    the smallest effects that the session would have shown, the next recording (`extension`, `gains`, `cause_report`,
    `detection_limits` with `sized_causes` and `random_limits`, `next_recording`, `result`; pictures in `report/`).
@@ -23,6 +23,7 @@ from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.explanation import explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
+from swarmtwin.diagnosis.gain_by_chance import sought_kinds
 from swarmtwin.diagnosis.left_over import Usual
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
@@ -35,7 +36,7 @@ from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.simulation.mechanism import Mechanism, offered
+from swarmtwin.simulation.mechanism import Mechanism
 from swarmtwin.simulation.simulation import Simulation
 
 
@@ -145,9 +146,7 @@ class DependenceTests:
 
 def find_causes(reference: Reference, model: SessionLikelihood, progress: Progress | None) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
-    found = offered(model.robot, model.session.conditions)
-    kinds = {name: kind for name, kind in found.items() if kind.noise_factor is Mechanism.noise_factor}
-    session = model.session
+    kinds, session = sought_kinds(model), model.session
     every = -(-len(session) // reference.settings.search.most_transitions)
     part = model if every <= 1 else reference.likelihood_of(session.where(session.run % every == 0))
     return CauseSearch(part, kinds, progress, lambda: usual_loss(reference, kinds)).run()

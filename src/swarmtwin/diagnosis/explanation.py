@@ -57,8 +57,8 @@ class Explanation:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether the causes gain no more than the simulation's own uncertainty may, at most."""
-        return self.gained <= self.left.most_uncertainty
+        """Whether the causes gain no more than they may where nothing but the simulation is uncertain, at most."""
+        return self.gained <= self.left.most_by_chance
 
     @property
     def may_be_chance(self) -> bool:

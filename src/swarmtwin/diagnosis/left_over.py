@@ -10,6 +10,7 @@ from scipy import special
 
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet
+from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.random_effects import member_disagreement
@@ -38,6 +39,7 @@ class LeftOver(NamedTuple):
         uncertainty: that the first one is expected to gain by the simulation's own uncertainty, where that was asked.
         most_uncertainty: that it may gain so at most.
         most_lasting_uncertainty: that the second one may gain so at most.
+        most_by_chance: that the causes themselves may gain by it at most.
     """
 
     by_situation: float
@@ -45,6 +47,7 @@ class LeftOver(NamedTuple):
     uncertainty: float = 0.0
     most_uncertainty: float = 0.0
     most_lasting_uncertainty: float = 0.0
+    most_by_chance: float = 0.0
 
     @property
     def nats(self) -> float:
@@ -67,7 +70,19 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
     usual_nats, ratio = usual.history_nats() * len(model.session), len(model.session) / usual.transitions()
     # half a squared normal variate, nearly: its standard error is the root of twice as many
     usual_nats += settings.uncertainty_spreads * math.sqrt(2 * usual_nats * (1 + ratio))
-    return LeftOver(by_situation, by_history - usual_nats, max(float(expected[0]), 0.0), float(most[0]), float(most[1]))
+    by_chance = float(most[0])
+    if 0 < gained <= by_chance:  # a catalogue follows less of the simulation's error than a regression does
+        single = nats_by_chance(model, fitted.residual, settings.chance_draws)
+        most_single = float(single.mean() + settings.uncertainty_spreads * single.std())
+        by_chance = min(by_chance, len(best.names) * most_single)
+    return LeftOver(
+        by_situation,
+        by_history - usual_nats,
+        max(float(expected[0]), 0.0),
+        float(most[0]),
+        float(most[1]),
+        by_chance,
+    )
 
 
 def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, errors: np.ndarray) -> float:

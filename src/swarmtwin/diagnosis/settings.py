@@ -245,6 +245,7 @@ class VerdictSettings(StrictModel):
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
         uncertainty_draws: of the simulation's own error, for what it would leave over where nothing is wrong.
+        chance_draws: likewise, for what causes would gain by it.
         uncertainty_spreads: standard deviations over draws by which that may lie above their mean: of clean sessions
             1 in 200 may alarm, and nats have a longer tail than a normal.
         most_left: of what the causes gain that may be left over: as a form leaves that is wrong by a fifth.
@@ -259,6 +260,7 @@ class VerdictSettings(StrictModel):
     alarm_nats: Positive = 15.0
     alarm_nats_a_transition: NonNegative = 0.002
     uncertainty_draws: Count = 12
+    chance_draws: Count = 100
     uncertainty_spreads: NonNegative = 3.0
     most_left: Share = 0.04
     most_lasting: Share = 0.03

@@ -146,14 +146,14 @@ class EnsembleTraining:
         steps_of_many: optimiser steps.
     """
 
-    learning_rate: float = 0.01
+    learning_rate: float = 0.02
     weight_decay: float = 0.1
     warm_up: float = 0.1
-    batch_size: int = 256
-    steps: int = 1000
+    batch_size: int = 64
+    steps: int = 2000
     many_rows: int = 12_000
-    batch_size_of_many: int = 1024
-    steps_of_many: int = 1600
+    batch_size_of_many: int = 512
+    steps_of_many: int = 2000
 
 
 def learn(
