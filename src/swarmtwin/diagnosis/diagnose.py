@@ -36,7 +36,6 @@ from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.simulation.mechanism import Mechanism
 from swarmtwin.simulation.simulation import Simulation
 
 
