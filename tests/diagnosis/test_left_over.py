@@ -7,10 +7,11 @@ from exact_base import ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.explanation import explanation
-from swarmtwin.diagnosis.gain_by_chance import nats_by_chance, sought_kinds
+from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
 from swarmtwin.diagnosis.left_over import nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
+from swarmtwin.diagnosis.screening import sought_kinds
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import exp_map
 

@@ -23,7 +23,6 @@ from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.explanation import explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
-from swarmtwin.diagnosis.gain_by_chance import sought_kinds
 from swarmtwin.diagnosis.left_over import Usual
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
@@ -35,6 +34,7 @@ from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
+from swarmtwin.diagnosis.screening import sought_kinds
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation import Simulation
 

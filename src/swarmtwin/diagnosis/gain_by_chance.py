@@ -2,15 +2,8 @@
 
 import numpy as np
 
-from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
-from swarmtwin.diagnosis.screening import candidates
-from swarmtwin.simulation.mechanism import Mechanism, offered
-
-
-def sought_kinds(model: SessionLikelihood) -> dict[str, MechanismClass]:
-    """Return the mechanisms that are looked for in a session, by name: those that change what is expected."""
-    found = offered(model.robot, model.session.conditions)
-    return {name: kind for name, kind in found.items() if kind.noise_factor is Mechanism.noise_factor}
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.screening import candidates, sought_kinds
 
 
 def nats_by_chance(model: SessionLikelihood, residual: np.ndarray, draws: int) -> np.ndarray:

@@ -39,7 +39,8 @@ class LeftOver(NamedTuple):
         uncertainty: that the first one is expected to gain by the simulation's own uncertainty, where that was asked.
         most_uncertainty: that it may gain so at most.
         most_lasting_uncertainty: that the second one may gain so at most.
-        most_by_chance: that the causes themselves may gain by it at most.
+        most_by_chance: that the causes may gain by it at most: each as much as the likeliest one alone, and all
+            together no more than the first regression.
     """
 
     by_situation: float

@@ -14,7 +14,7 @@ from swarmtwin.diagnosis.likelihood import (
     loses_commands,
 )
 from swarmtwin.geometry import compose, exp_map
-from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Parameter
+from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Parameter, offered
 from swarmtwin.simulation.mechanisms import gain_change
 
 
@@ -42,6 +42,12 @@ class Candidate:
     def form(self) -> MechanismClass:
         """The form of the mechanism."""
         return type(self.start[-1])
+
+
+def sought_kinds(model: SessionLikelihood) -> dict[str, MechanismClass]:
+    """Return the mechanisms that are looked for in a session, by name: those that change what is expected."""
+    found = offered(model.robot, model.session.conditions)
+    return {name: kind for name, kind in found.items() if kind.noise_factor is Mechanism.noise_factor}
 
 
 def candidates(
