@@ -29,9 +29,22 @@ def slower(moment):
     return exp_map(0.9 * moment.way)
 
 
-def nats(robot, moved, mechanisms=(), seed=31, vehicle="1"):
+def wrong_of_each_command(moment):
+    """Errors of the noise's size that a command repeats and no other command tells."""
+    wave = (moment.command * torch.tensor(37.0)).sum(dim=1)
+    return exp_map(moment.way + torch.stack([1.2 * wave.sin(), 1.2 * wave.cos(), 0.02 * wave.sin()], dim=-1))
+
+
+def held_commands(robot, seed, runs=60, steps=30, periods=6):
+    """Commands (steps, runs, m) each of which holds for some periods."""
+    rng = np.random.default_rng(seed)
+    drawn = rng.uniform(robot.command_low, robot.command_high, (steps // periods, runs, len(robot.command)))
+    return np.repeat(drawn, periods, axis=0)
+
+
+def nats(robot, moved, mechanisms=(), seed=31, vehicle="1", command=None):
     base = ExactBase(robot)
-    session = session_of(base, np.random.default_rng(seed), moved, vehicle=vehicle)
+    session = session_of(base, np.random.default_rng(seed), moved, vehicle=vehicle, command=command)
     model = SessionLikelihood(base, known_noise(), session)
     return nats_by_history(model, model.evaluate(mechanisms))
 
@@ -45,6 +58,13 @@ def test_what_lasts_and_has_no_name_is_seen_in_the_errors_before(robots, robot):
 @pytest.mark.parametrize("robot", ["mgr", "mur"])
 def test_independent_errors_show_nothing(robots, robot):
     assert all(nats(robots[robot], as_simulated, seed=seed) < 10 for seed in range(40, 46))
+
+
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_an_error_that_a_held_command_repeats_is_none_that_lasts(robots, robot):
+    command = held_commands(robots[robot], seed=47)
+    assert nats(robots[robot], wrong_of_each_command, command=command) < 10
+    assert nats(robots[robot], turning_current, command=command) > 100
 
 
 def test_errors_that_a_cause_explains_show_nothing_more(robots):

@@ -38,11 +38,13 @@ def running_means(model: SessionLikelihood, errors: np.ndarray) -> list[np.ndarr
     """Return for each axis functions (N, q) of the whitened errors (N, 3) before each transition of its vehicle.
 
     They are running means over some numbers of transitions, across runs, of unit variance where errors are independent:
-    of the errors in the room's frame, and in the vehicle's as they go with its motion.
+    of the errors in the room's frame, and in the vehicle's as they go with its motion. Errors under the command that
+    still holds are not among them: what the simulation gets wrong of a command it gets wrong again.
     """
     transitions, motion = model.session.transitions, model.motion
     order = np.lexsort((transitions.time_s, transitions.vehicle))
     begins = np.flatnonzero(np.diff(transitions.vehicle[order], prepend=-1))
+    held = model.session.held[order]
     size = motion[:, [0, 2]] / np.maximum(np.sqrt((motion[:, [0, 2]] ** 2).mean(axis=0)), 1e-9)
     along = np.column_stack([np.ones(len(size)), size])
     spread = model.noise.spread(motion)[:, :2]
@@ -53,17 +55,25 @@ def running_means(model: SessionLikelihood, errors: np.ndarray) -> list[np.ndarr
     columns: list[list[np.ndarray]] = [[], [], []]
     for transitions_back in model.settings.flexible.running_means:
         fade = float(np.exp(-1 / transitions_back))
-        room = rotate(_running_mean(in_room, order, begins, fade), -heading) * usual / spread
-        moving = _running_mean(with_motion, order, begins, fade) * along[:, None, :]
+        room, moving = (_running_mean(one, order, begins, held, fade) for one in (in_room, with_motion))
+        room = rotate(room, -heading) * usual / spread
+        moving = moving * along[:, None, :]
         for axis in range(3):
             columns[axis] += [*moving[:, axis].T, *(room[:, [axis]].T if axis < 2 else ())]
     return [np.clip(np.column_stack(own), -15.0, 15.0) for own in columns]
 
 
-def _running_mean(values: np.ndarray, order: np.ndarray, begins: np.ndarray, fade: float) -> np.ndarray:
-    """Return exponentially fading means of the values (N, ...) before each, in an order that begins anew at places."""
+def _running_mean(
+    values: np.ndarray, order: np.ndarray, begins: np.ndarray, held: np.ndarray, fade: float
+) -> np.ndarray:
+    """Return exponentially fading means of the values (N, ...) before each, in an order that begins anew at places.
+
+    Those of the last `held` (N,) before each in the order are left out.
+    """
     means = np.empty_like(values)
     for rows in np.split(order, begins[1:]):
         means[rows] = lfilter([0.0, fade], [1.0, -fade], values[rows], axis=0)
+    ordered = means[order][np.arange(len(order)) - held]
+    means[order] = ordered * (fade ** held.astype(float)).reshape(-1, *([1] * (values.ndim - 1)))
     means *= np.sqrt(1 - fade**2) / fade
     return means

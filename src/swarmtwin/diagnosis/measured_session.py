@@ -1,6 +1,7 @@
 """Measured transitions as a diagnosis works on them."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -121,6 +122,18 @@ class MeasuredSession:
 
     def __len__(self) -> int:
         return len(self.twist)
+
+    @cached_property
+    def held(self) -> np.ndarray:
+        """(N,) for how many transitions before each its command has held, to a twentieth of the range."""
+        robot, alike = self.transitions.robot, 0.05
+        command = self.transitions.command / (robot.command_high - robot.command_low)
+        held, first = np.zeros(len(self), int), np.arange(len(self))
+        for row in np.argsort(self.transitions.time_s, kind="stable"):
+            before = self.follows[row]
+            if before >= 0 and np.abs(command[row] - command[first[before]]).max() <= alike:
+                held[row], first[row] = held[before] + 1, first[before]
+        return held
 
     @property
     def runs(self) -> int:
