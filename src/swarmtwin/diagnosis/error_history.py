@@ -39,7 +39,8 @@ def running_means(model: SessionLikelihood, errors: np.ndarray) -> list[np.ndarr
 
     They are running means over some numbers of transitions, across runs, of unit variance where errors are independent:
     of the errors in the room's frame, and in the vehicle's as they go with its motion. Errors under the command that
-    still holds are not among them: what the simulation gets wrong of a command it gets wrong again.
+    still holds are not among them, and the means fade meanwhile: what the simulation gets wrong of a command it gets
+    wrong again.
     """
     transitions, motion = model.session.transitions, model.motion
     order = np.lexsort((transitions.time_s, transitions.vehicle))
@@ -68,7 +69,7 @@ def _running_mean(
 ) -> np.ndarray:
     """Return exponentially fading means of the values (N, ...) before each, in an order that begins anew at places.
 
-    Those of the last `held` (N,) before each in the order are left out.
+    Of these the last `held` (N,), given in the order, are left out.
     """
     means = np.empty_like(values)
     for rows in np.split(order, begins[1:]):
