@@ -125,7 +125,7 @@ class MeasuredSession:
 
     @cached_property
     def held(self) -> np.ndarray:
-        """(N,) for how many transitions before each its command has held: to a twentieth of its range, it is the same."""
+        """(N,) for how many transitions before each its command has held, to a twentieth of its range."""
         robot, alike = self.transitions.robot, 0.05
         command = self.transitions.command / (robot.command_high - robot.command_low)
         held, first = np.zeros(len(self), int), np.arange(len(self))
