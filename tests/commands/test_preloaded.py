@@ -20,13 +20,13 @@ def main():
     from swarmtwin.commands.preloaded import ask
     if (answer := ask(sys.argv[1:])) is not None:
         sys.exit(answer)
-    print(os.getpid(), flush=True)
-    if sys.argv[1] == "wait":
-        try:
+    try:
+        print(os.getpid(), flush=True)
+        if sys.argv[1] == "wait":
             time.sleep(60)
-        except KeyboardInterrupt:
-            print("interrupted", flush=True)
-            sys.exit(130)
+    except KeyboardInterrupt:
+        print("interrupted", flush=True)
+        sys.exit(130)
     print(sys.argv[1:], os.getcwd(), os.environ["ASKED"], sys.stdin.read(), flush=True)
     sys.exit(int(sys.argv[2]))
 """
