@@ -296,6 +296,33 @@ def test_a_current_carries_no_vehicle_through_a_wall(robots, heading_rad, cleara
     assert carried_mm == pytest.approx([100.0 * robot.period_s, 60.0, 0.0], abs=1e-6)
 
 
+class WalledDynamics(ExactDynamics):
+    """A wall stops vehicles, all of which face it, at a distance of 80 mm: the model looks at the pose."""
+
+    inputs = ("command", "pose")
+
+    def predict(self, situation):
+        displacement = super().predict(situation)
+        room = self.robot.arena_mm.high_mm[0] - 80.0 - situation.pose[:, 0]
+        return torch.cat([torch.minimum(displacement[:, :1], room[:, None]), displacement[:, 1:]], dim=-1)
+
+
+@pytest.mark.parametrize("speed_mm_s", [-25.0, -150.0, 100.0])
+def test_what_presses_against_a_wall_presses_against_a_current_that_carries_it_off(robots, speed_mm_s):
+    """70 mm ahead if nothing stopped it: the current must be faster than that before it leaves the wall."""
+    robot = robots["mur"]
+    wall_mm = robot.arena_mm.high_mm[0] - 80.0
+    start_mm = wall_mm - np.array([0.0, 30.0, 600.0])
+    pose = np.column_stack([start_mm, np.full(3, 500.0), np.zeros(3)])
+    command = np.tile([0.0, 60.0, 9.0], (3, 1))
+    situation = situation_of(robot, np.random.default_rng(5), count=3, pose=pose, command=command)
+    conditions = conditions_of(robot, clearance_mm=(80.0, 50.0))
+    drift = {"x_mm_s": speed_mm_s, "y_mm_s": 0.0}
+    moved_mm = simulation_with(robot, WalledDynamics(robot), conditions, steady_drift=drift).predict(situation)[:, 0]
+    free_mm = start_mm + 70.0 + speed_mm_s * robot.period_s
+    assert (start_mm + moved_mm.numpy()).tolist() == pytest.approx(np.minimum(free_mm, wall_mm).tolist(), abs=1e-6)
+
+
 def test_each_wheel_is_slowed_where_it_is(robots):
     """The left wheel on the disc, both, and none: straight commands turn the vehicle to the left, not, and not."""
     robot = robots["mgr"]

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
-from swarmtwin.geometry import log_map
+from swarmtwin.geometry import exp_map, log_map, rotate
 from swarmtwin.learning.situation import Situation
 from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics, CrossFitted
 from swarmtwin.simulation.mechanism import Moment
@@ -31,6 +31,7 @@ class Answers:
         to_settings: to settings on their way, by the roles of the commands, the way and the share of it that is left.
         delays: lateness and lag for which these settings hold.
         velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, from which a model with momentum goes on; None: not known.
+        held_back: (N, 2) mm by which walls held vehicles back, by the same indices.
         of_part: of the parts of a model whose answers add up.
     """
 
@@ -38,6 +39,7 @@ class Answers:
     to_settings: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
     delays: tuple[float, float] = (0.0, 0.0)
     velocity: Tensor | None = None
+    held_back: dict[tuple[int, int], Tensor] = field(default_factory=dict)
     of_part: "dict[str, Answers]" = field(default_factory=dict)
 
 
@@ -115,6 +117,31 @@ class BaseTwists:
     def velocity_after(self) -> Tensor:
         """Return the velocity (N, 3) in mm/s and rad/s from which a model with momentum goes on next."""
         return self.response(0) / self.moment.robot.period_s
+
+    def held_back_mm(self) -> Tensor:
+        """Return how much further vehicles would come in the middle of the arena, (N, 2) mm along its axes.
+
+        Nothing where no walls stop them, and for those so far from all walls that they cannot reach one.
+        """
+        key = (self.roles[0], self.roles[1])
+        if key not in self.known.held_back:
+            self.known.held_back[key] = self._held_back_mm()
+        return self.known.held_back[key]
+
+    def _held_back_mm(self) -> Tensor:
+        conditions, pose = self.moment.conditions, self.moment.pose
+        held_back = torch.zeros_like(pose[:, :2])
+        if conditions.clearance_mm is None:
+            return held_back
+        reach_mm = max(conditions.clearance_mm) + self.moment.robot.largest_displacement.forward_mm
+        rows = (conditions.wall_distance_mm(pose[:, :2]) < reach_mm).nonzero()[:, 0]
+        if len(rows):
+            middle = torch.cat([conditions.centre_mm.expand(len(rows), 2), pose[rows, 2:]], dim=-1)
+            near = self.of_rows(rows.numpy())
+            free = replace(near, moment=replace(near.moment, pose=middle)).response(0)
+            more = exp_map(free) - exp_map(self.response(0)[rows])
+            held_back[rows] = rotate(more[:, :2], pose[rows, 2])
+        return held_back
 
     def displacement(self) -> Tensor:
         """Return the model's own answer to the present command, displacements (N, 3), with nothing beyond it."""

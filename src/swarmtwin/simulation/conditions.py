@@ -23,6 +23,8 @@ class SessionConditions(StrictModel):
             where the dynamics model does not look at the previous command.
         effort_exponents: of thrust, the power of the actuators' effort with which motion (forward, left, turn) grows,
             as the dynamics model shows it; 1 for wheels.
+        clearance_mm: how near vehicles come to walls that they face, and to walls that they lie along; null where
+            nothing stops them.
     """
 
     arena_mm: Arena
@@ -55,10 +57,11 @@ class SessionConditions(StrictModel):
         """Return the share of the session that has passed at times (...), in [0, 1]."""
         return (elapsed_s / self.session_s).clamp(0.0, 1.0)
 
-    def stopped_mm(self, pose: Tensor, carried: Tensor) -> Tensor:
+    def stopped_mm(self, pose: Tensor, carried: Tensor, held_back: Tensor) -> Tensor:
         """Return how far vehicles that came to poses (N, 3) are carried, (N, 2), of the way `carried` (N, 2).
 
-        Walls stop an elliptic hull as near as `clearance_mm` says; one that is nearer already comes no nearer.
+        Walls stop an elliptic hull as near as `clearance_mm` says; one that is nearer already comes no nearer. One that
+        presses against a wall, which has held it back by `held_back` (N, 2), presses against what carries it off too.
         """
         if self.clearance_mm is None:
             return carried
@@ -67,12 +70,11 @@ class SessionConditions(StrictModel):
         reach = torch.stack(
             [torch.hypot(facing_mm * cos, along_mm * sin), torch.hypot(facing_mm * sin, along_mm * cos)], dim=-1
         )
-        position, (low, high) = (
-            pose[:, :2],
-            (torch.as_tensor(one) for one in (self.arena_mm.low_mm, self.arena_mm.high_mm)),
-        )
-        end = torch.minimum(position + carried, torch.maximum(high - reach, position))
-        return torch.maximum(end, torch.minimum(low + reach, position)) - position
+        position = pose[:, :2]
+        low, high = (torch.as_tensor(corner) for corner in (self.arena_mm.low_mm, self.arena_mm.high_mm))
+        lowest, highest = torch.minimum(low + reach, position), torch.maximum(high - reach, position)
+        unstopped = position + held_back
+        return (unstopped + carried).clamp(lowest, highest) - unstopped.clamp(lowest, highest)
 
     def wall_distance_mm(self, position: Tensor) -> Tensor:
         """Return the distances (...) of positions (..., 2) from the nearest wall, 0 beyond it."""

@@ -130,7 +130,7 @@ def period_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: M
     if _follow_clock(mechanisms):
         more = moment.duration_s / moment.robot.period_s - 1
         displacement = compose(displacement, exp_map(end * more[:, None]))
-    return PeriodMotion(_carried_along(mechanisms, displacement, moment), motion.memory)
+    return PeriodMotion(_carried_along(mechanisms, displacement, twists), motion.memory)
 
 
 def _follow_clock(mechanisms: Sequence[Mechanism]) -> bool:
@@ -191,17 +191,15 @@ def _traction(mechanism: Mechanism, pose: Tensor, moment: Moment) -> Tensor | No
     return torch.stack([one for one in sides if one is not None], dim=-1)
 
 
-def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, moment: Moment) -> Tensor:
-    """Add what slopes, currents and other vehicles do to displacements (N, 3)."""
-    moving = [mechanism for mechanism in mechanisms if mechanism.stage == "body"]
-    if not moving:
-        return displacement
+def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, twists: BaseTwists) -> Tensor:
+    """Add what slopes, currents and other vehicles do to displacements (N, 3), as far as walls let them."""
+    moment = twists.moment
     halfway = exp_map(log_map(displacement) / 2)
-    for mechanism in moving:
+    for mechanism in (mechanism for mechanism in mechanisms if mechanism.stage == "body"):
         velocity_mm_s = mechanism.drift_velocity(halfway, moment)
         if velocity_mm_s is not None:
-            came_to = compose(moment.pose, displacement)
-            carried = moment.conditions.stopped_mm(came_to, velocity_mm_s * moment.duration_s[:, None])
+            carried, came_to = velocity_mm_s * moment.duration_s[:, None], compose(moment.pose, displacement)
+            carried = moment.conditions.stopped_mm(came_to, carried, twists.held_back_mm())
             along = rotate(carried, -moment.pose[:, 2])
             displacement = torch.cat([displacement[:, :2] + along, displacement[:, 2:]], dim=-1)
     return displacement
