@@ -82,6 +82,23 @@ def test_a_fin_that_follows_more_slowly_throws_the_vehicle_less(robots, own_s):
     torch.testing.assert_close(slower[:, 2] - plain[:, 2], -lost * base.recoil(situation)[:, 2], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("late", "lag"), [(0.25, 0.2), (0.5, 0.4), (1.0, 0.3)])
+def test_what_a_late_command_brings_about_goes_on_in_the_next_period(robots, late, lag):
+    """A recoil that dies away exponentially: of this throw what is over by the period's end, of that before the rest."""
+    robot = robots["mur"]
+    base = RecoilingDynamics(robot)
+    situation = situation_of(robot, np.random.default_rng(4))
+    delay = {"delay_s": late * robot.period_s, "transient_time_constant_s": lag * robot.period_s}
+    delayed, smooth = (
+        simulation_with(robot, dynamics=dynamics, command_delay=delay).predict(situation)
+        for dynamics in (base, ExactDynamics(robot))
+    )
+    over = math.expm1((late - 1) / lag) / math.expm1(-1 / lag)
+    before = replace(situation, command=situation.previous_command, previous_command=situation.earlier_command)
+    expected = over * base.recoil(situation)[:, 2] + (1 - over) * base.recoil(before)[:, 2]
+    torch.testing.assert_close(delayed[:, 2] - smooth[:, 2], expected, rtol=0, atol=1e-9)
+
+
 def test_drift_is_the_same_in_the_arena_whatever_the_heading(robots):
     for robot in (robots["mgr"], robots["mur"]):
         rng = np.random.default_rng(5)

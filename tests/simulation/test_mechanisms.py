@@ -126,6 +126,10 @@ def test_parameters_are_those_of_the_actuator(robots):
     assert set(lag.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"time_constant_s"}
     own = {"time_constant_s", "own_time_constant_s"}
     assert set(lag.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == own
+    delay = mechanism_class("command_delay")
+    assert set(delay.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"delay_s"}
+    own = {"delay_s", "transient_time_constant_s"}
+    assert set(delay.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == own
     assert set(asymmetry.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"ratio"}
     assert set(asymmetry.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == {"angle_rad"}
     assert set(asymmetry.parameters_of(robots["car"], conditions_of(robots["car"]))) == {"angle_rad"}

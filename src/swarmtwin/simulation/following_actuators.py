@@ -35,6 +35,7 @@ class Following(NamedTuple):
         latency: when the command begins to act.
         added_lag: time constant with which actuators follow it, beyond the lag that they have by themselves.
         share_of_transient: what is left of what a sudden change of a setting brings about beyond steady motion.
+        transient_lag: time constant with which that dies away once the command acts; 0: at once.
     """
 
     place: int
@@ -42,6 +43,7 @@ class Following(NamedTuple):
     latency: float
     added_lag: float
     share_of_transient: float = 1.0
+    transient_lag: float = 0.0
 
     @property
     def shares(self) -> list[float]:
@@ -127,12 +129,42 @@ class Following(NamedTuple):
         if any(own_lags):
             undisturbed = composed(zip(self.shares, (piece + learned for piece in references), strict=True))
             correction = response - log_map(undisturbed)
-        after = [float(end > self.latency) for end in self.ends] if self.latency < 1 else [1.0] * len(pieces)
-        held = sum(share for share, acts in zip(self.shares, after, strict=True) if acts)
-        pieces = [
-            piece + learned * (self.share_of_transient * acts / held) for piece, acts in zip(pieces, after, strict=True)
-        ]
+        acting, going_on = self._when_transients_act()
+        pieces = [piece + self.share_of_transient * act * learned for piece, act in zip(pieces, acting, strict=True)]
+        if any(going_on) and self.place + 2 < len(twists.roles):  # of the command before that nothing is known
+            before = self._learned_before(twists, supply)
+            pieces = [
+                piece + self.share_of_transient * act * before for piece, act in zip(pieces, going_on, strict=True)
+            ]
         return pieces, correction, ActuatorTwists(twist, reference)
+
+    def _when_transients_act(self) -> tuple[list[float], list[float]]:
+        """Return how strong over each piece is what a change of command brings about: of the last one, of that before.
+
+        Over a period from when the command begins to act on they average to 1. They fade from then on; or, where they
+        die away at once, act over what the period has left.
+        """
+        starts = [0.0, *self.ends[:-1]]
+        if not self.transient_lag:
+            after = [float(end > self.latency) for end in self.ends] if self.latency < 1 else [1.0] * len(self.ends)
+            held = sum(share * acts for share, acts in zip(self.shares, after, strict=True))
+            return [acts / held for acts in after], [0.0] * len(after)
+
+        def acted(since: float) -> float:
+            since = min(max(since, 0.0), 1.0)
+            return math.expm1(-since / self.transient_lag) / math.expm1(-1 / self.transient_lag)
+
+        def strengths(begins: float) -> list[float]:
+            pieces = zip(starts, self.ends, self.shares, strict=True)
+            return [(acted(end - begins) - acted(start - begins)) / share for start, end, share in pieces]
+
+        return strengths(self.latency), strengths(self.latency - 1)
+
+    def _learned_before(self, twists: BaseTwists, supply: Supply) -> Tensor:
+        """Return what the change to the command before brought about beyond a lag of first order, (N, 3)."""
+        start, target = (supply(twists.steady(self.place + back)) for back in (2, 1))
+        mean, _ = _relaxed_twist(start, target, 1.0, twists.moment.conditions.own_lags)
+        return supply(twists.response(self.place + 1)) - mean
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
         """Yield how settings change: towards the command before until the new one acts, then towards that."""

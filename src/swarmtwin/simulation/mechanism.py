@@ -266,6 +266,10 @@ class Mechanism(StrictModel, ABC):
         """Return which share is left of what a sudden change of a setting brings about beyond steady motion."""
         return 1.0
 
+    def transient_lag_s(self) -> float:
+        """Return the time constant with which that dies away in the reference; 0: it is over at once."""
+        return 0.0
+
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
         """Return what it remembers (N, ...) of actuators that have long moved by `twist` (N, 3); None: nothing."""
         return None

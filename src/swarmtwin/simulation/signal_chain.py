@@ -145,7 +145,8 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
     inner = {share for mechanism in mechanisms for share in mechanism.breakpoints(robot)}
     ends = (*sorted(share for share in {*inner, latency} if 0.0 < share < 1.0), 1.0)
     transient = math.prod(mechanism.share_of_transient() for mechanism in mechanisms)
-    return Following(place, ends, latency, added_lag, transient)
+    transient_lag = sum(mechanism.transient_lag_s() for mechanism in mechanisms) / robot.period_s
+    return Following(place, ends, latency, added_lag, transient, transient_lag and transient_lag + added_lag)
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:
