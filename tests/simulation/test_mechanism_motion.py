@@ -84,7 +84,7 @@ def test_a_fin_that_follows_more_slowly_throws_the_vehicle_less(robots, own_s):
 
 @pytest.mark.parametrize(("late", "lag"), [(0.25, 0.2), (0.5, 0.4), (1.0, 0.3)])
 def test_what_a_late_command_brings_about_goes_on_in_the_next_period(robots, late, lag):
-    """A recoil that dies away exponentially: of this throw what is over by the period's end, of that before the rest."""
+    """A recoil that dies away exponentially: what is over by the period's end, and the rest of that before."""
     robot = robots["mur"]
     base = RecoilingDynamics(robot)
     situation = situation_of(robot, np.random.default_rng(4))
