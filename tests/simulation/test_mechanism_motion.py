@@ -282,8 +282,28 @@ def test_neighbours_push_each_other_apart_equally(robots):
     torch.testing.assert_close(ends[0], -ends[1])
     apart = poses[0, :, :2] - poses[1, :, :2]
     distance_mm = apart.norm(dim=-1, keepdim=True)
-    expected = 20.0 * robot.period_s * torch.exp(-distance_mm / 80) * apart / distance_mm
-    torch.testing.assert_close(ends[0], expected, rtol=1e-3, atol=1e-3)
+    pushed_mm, steps = torch.zeros_like(distance_mm), 1000
+    for _ in range(steps):
+        pushed_mm = pushed_mm + 20.0 * robot.period_s / steps * torch.exp(-(distance_mm + 2 * pushed_mm) / 80)
+    expected = pushed_mm * apart / distance_mm
+    torch.testing.assert_close(ends[0], expected, rtol=1e-3, atol=1e-2)
+
+
+def test_neighbours_push_each_other_where_both_are_meanwhile(robots):
+    """Two vehicles face each other, one stands: in the distance between them each loses or gains its way."""
+    robot = robots["mgr"]
+    simulation = simulation_with(robot, neighbour_interaction={"strength_mm_s": 40.0, "reach_mm": 60.0})
+    pose = torch.tensor([[[400.0, 500.0, 0.0], [480.0, 500.0, math.pi]]], dtype=torch.float64)
+    command = torch.tensor([[[90.0, 90.0], [0.0, 0.0]]], dtype=torch.float64)
+    after = simulation.step(simulation.start(pose), command)
+    speed_mm_s = float(ExactDynamics(robot).twist(command[0, 0])[0]) / robot.period_s
+    apart_mm, pushed_mm, steps = 80.0, 0.0, 10_000
+    for _ in range(steps):
+        push_mm = 40.0 * math.exp(-apart_mm / 60.0) * robot.period_s / steps
+        pushed_mm += push_mm
+        apart_mm += 2 * push_mm - speed_mm_s * robot.period_s / steps
+    expected = [400.0 + speed_mm_s * robot.period_s - pushed_mm, 480.0 + pushed_mm]
+    assert after.pose[0, :, 0].tolist() == pytest.approx(expected, abs=0.1)
 
 
 @pytest.mark.parametrize("apart_mm", [4.0, 40.0])
@@ -292,8 +312,12 @@ def test_vehicles_that_attract_each_other_meet_and_do_not_change_places(robots, 
     neighbours = torch.tensor([[[apart_mm, 0.0, 0.0]]])
     situation = situation_of(robot, np.random.default_rng(4), count=1, command=np.zeros((1, 2)), neighbours=neighbours)
     measured, _ = moved(robot, "neighbour_interaction", situation, strength_mm_s=-30.0, reach_mm=250.0)
-    free_mm = 30.0 * robot.period_s * math.exp(-apart_mm / 250.0)
-    assert measured[0, 0].item() == pytest.approx(min(free_mm, apart_mm / 2), rel=1e-3)
+    come_mm, steps = 0.0, 1000
+    for _ in range(steps):
+        apart_by_then_mm = apart_mm - 2 * come_mm
+        come_mm += min(30.0 * robot.period_s / steps * math.exp(-apart_by_then_mm / 250.0), apart_by_then_mm / 2)
+    assert measured[0, 0].item() == pytest.approx(come_mm, rel=2e-3)
+    assert come_mm <= apart_mm / 2
 
 
 @pytest.mark.parametrize(("heading_rad", "clearance_mm"), [(0.0, 80.0), (math.pi / 2, 50.0), (math.pi, 80.0)])

@@ -9,6 +9,7 @@ hold already what a cause does.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -92,8 +93,24 @@ class SessionPredictor:
             elapsed_s=given.elapsed_s,
             duration_s=given.duration_s,
             neighbours=given.neighbours,
+            neighbours_after=self._neighbours_after,
             velocity=given.velocity,
         )
+
+    @cached_property
+    def _neighbours_after(self) -> Tensor | None:
+        """Where neighbours (N, M, 3) are measured at the end: where they stay, nobody has measured that."""
+        pose, neighbours = self.situation.pose, self.situation.neighbours
+        assert pose is not None
+        assert neighbours is not None
+        if not neighbours.isfinite().any():
+            return None
+        rows = torch.as_tensor((self.follows >= 0).nonzero()[0])
+        before = torch.as_tensor(self.follows)[rows]
+        then = displacement_between(pose[before][:, None], compose(pose[rows][:, None], neighbours[rows]))
+        after = neighbours.clone()
+        after[before] = torch.where(then.isfinite(), then, neighbours[before])
+        return after
 
     def simulated(self) -> Tensor:
         """Return the twists (N, 3) of the base alone."""
@@ -210,7 +227,7 @@ class SessionPredictor:
                 moving.append(mechanism)
         moved_camera = true is not measured
         if moved_camera:
-            moment = replace(moment, pose=true)
+            moment = moment.at_true_poses(true, partial(_from_measured, moving, self.conditions))
         given = list(self._commands())
         late = [mechanism for mechanism in mechanisms if mechanism.latency_s() > 0] if self.sent else []
         if self.sent and late:  # known to the moment: what is in force is averaged, and nothing is late any more
@@ -290,3 +307,10 @@ def arrival_probability(mechanisms: Sequence[Mechanism]) -> float:
     for mechanism in mechanisms:
         arrives *= mechanism.arrival_probability()
     return arrives
+
+
+def _from_measured(moving: Sequence[Mechanism], conditions: SessionConditions, pose: Tensor) -> Tensor:
+    """Return which true poses (n, 3) are measured like these by a camera that mechanisms move, the last one first."""
+    for mechanism in moving:
+        pose = mechanism.from_measured(pose, conditions)
+    return pose

@@ -6,7 +6,7 @@ vehicles at a time; tensors are float64.
 """
 
 from abc import ABC
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
@@ -16,6 +16,7 @@ import torch
 from pydantic import create_model
 from torch import Tensor
 
+from swarmtwin.geometry import compose, displacement_between
 from swarmtwin.learning.situation import Situation
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.robot import Robot, SituationPart, StrictModel
@@ -78,6 +79,7 @@ class Moment:
         duration_s: (N,) of the period.
         neighbours: (N, M, 3) the other vehicles in the vehicle's own frame: forward_mm, left_mm, turn_rad; NaN where
             there is none.
+        neighbours_after: (N, M, 3) where they are at its end, in the same frame; None: not known, they stay.
         given: (N, m) the commands that the actuators are given in this period, and `given_before` in the one before:
             None until the controller has passed them on, in the hooks of link and controller.
         given_before: see `given`.
@@ -91,6 +93,7 @@ class Moment:
     elapsed_s: Tensor
     duration_s: Tensor
     neighbours: Tensor
+    neighbours_after: Tensor | None = None
     given: Tensor | None = None
     given_before: Tensor | None = None
     velocity: Tensor | None = None
@@ -112,6 +115,26 @@ class Moment:
             duration_s=self.duration_s,
             neighbours=self.neighbours,
         )
+
+    def at_true_poses(self, pose: Tensor, from_measured: Callable[[Tensor], Tensor]) -> "Moment":
+        """Return it at true poses (N, 3) in place of those measured, neighbours at theirs as well.
+
+        Args:
+            pose: what `from_measured` makes of the poses.
+            from_measured: says which true poses (n, 3) are measured like some.
+        """
+
+        def seen(neighbours: Tensor) -> Tensor:
+            there = neighbours.isfinite().all(dim=-1)
+            if not there.any():
+                return neighbours
+            measured = compose(self.pose[:, None].expand_as(neighbours)[there], neighbours[there])
+            moved = neighbours.clone()
+            moved[there] = displacement_between(pose[:, None].expand_as(neighbours)[there], from_measured(measured))
+            return moved
+
+        after = None if self.neighbours_after is None else seen(self.neighbours_after)
+        return replace(self, pose=pose, neighbours=seen(self.neighbours), neighbours_after=after)
 
     @property
     def progress(self) -> Tensor:

@@ -126,6 +126,7 @@ class Simulation(nn.Module):
         duration_s: Tensor | None = None,
         rng: torch.Generator | None = None,
         neighbours: Tensor | None = None,
+        neighbours_after: Tensor | None = None,
     ) -> State:
         """Hold commands for one control period.
 
@@ -137,6 +138,8 @@ class Simulation(nn.Module):
             rng: with it everything random is drawn: lost commands, irregular periods, the motion's random part.
                 Without it the most likely motion is taken.
             neighbours: (W, K, M, 3) what the vehicles see of others; None: those of their own world.
+            neighbours_after: (W, K, M, 3) where these come to, in the same frames; None: of their own world where they
+                most likely do, of others they stay.
 
         Raises:
             UserError: the dynamics model predicts something that is not finite.
@@ -145,9 +148,11 @@ class Simulation(nn.Module):
         command = self._in_force(state, torch.as_tensor(command, dtype=torch.float64), rng)
         if duration_s is None and rng is not None:
             duration_s = self.drawn_duration_s(shape, rng)
-        moment = self._moment(state, duration_s, neighbours)
-        commands = [_flattened(values) for values in (command, state.previous_command, state.earlier_command)]
-        displacement, memory = self._motion(moment, commands, {name: _flattened(m) for name, m in state.memory.items()})
+        if neighbours is None and neighbours_after is None and self.sees_pushes:
+            neighbours_after = state.neighbours_at(self.most_likely_end(state, command, duration_s))
+        moment = self._moment(state, duration_s, neighbours, neighbours_after)
+        commands, memory = self._carried_on(state, command)
+        displacement, memory = self._motion(moment, commands, memory)
         likeliest = displacement
         if rng is not None and MEMBER in memory:
             own = BaseTwists(self.dynamics, moment, commands)
@@ -170,6 +175,20 @@ class Simulation(nn.Module):
             velocity=velocity.reshape(*shape, 3),
             memory=_unflattened(memory, shape),
         )
+
+    @property
+    def sees_pushes(self) -> bool:
+        """Whether a mechanism looks at neighbours."""
+        return any("neighbours" in mechanism.inputs for mechanism in self.mechanisms)
+
+    def most_likely_end(
+        self, state: State, command: Tensor, duration_s: Tensor | None = None, neighbours: Tensor | None = None
+    ) -> Tensor:
+        """Return the true poses (W, K, 3) that `step` most likely leads to while neighbours stay; given likewise."""
+        moment = self._moment(state, duration_s, neighbours)
+        command = torch.as_tensor(command, dtype=torch.float64)
+        displacement, _ = self._motion(moment, *self._carried_on(state, command))
+        return compose(state.pose, displacement.reshape(state.pose.shape))
 
     def drawn_duration_s(self, shape: Sequence[int], rng: torch.Generator) -> Tensor | None:
         """Draw the length of the period, (W, K), the same for all vehicles of a world: they have one controller.
@@ -252,7 +271,18 @@ class Simulation(nn.Module):
         drawn = torch.rand(command.shape[:2], generator=rng, dtype=torch.float64, device=command.device)
         return torch.where((drawn < arrives)[..., None], command, before)
 
-    def _moment(self, state: State, duration_s: Tensor | None, neighbours: Tensor | None) -> Moment:
+    def _carried_on(self, state: State, command: Tensor) -> tuple[list[Tensor], dict[str, Tensor]]:
+        """Return the command (W, K, m) in force and the two before, and what is remembered, each of W · K vehicles."""
+        commands = [_flattened(values) for values in (command, state.previous_command, state.earlier_command)]
+        return commands, {name: _flattened(values) for name, values in state.memory.items()}
+
+    def _moment(
+        self,
+        state: State,
+        duration_s: Tensor | None,
+        neighbours: Tensor | None,
+        neighbours_after: Tensor | None = None,
+    ) -> Moment:
         if duration_s is None:
             duration_s = torch.full_like(state.elapsed_s, self.robot.period_s)
         if neighbours is None and "neighbours" in self.inputs:
@@ -266,6 +296,7 @@ class Simulation(nn.Module):
             elapsed_s=_flattened(state.elapsed_s),
             duration_s=_flattened(duration_s),
             neighbours=_flattened(neighbours),
+            neighbours_after=None if neighbours_after is None else _flattened(neighbours_after),
             velocity=_flattened(state.velocity),
         )
 
@@ -283,13 +314,13 @@ class Simulation(nn.Module):
         moment = Moment(
             robot=self.robot,
             conditions=self.conditions,
-            pose=true,
+            pose=measured,
             elapsed_s=elapsed_s.double(),
             duration_s=duration_s.double(),
             neighbours=neighbours.double(),
             velocity=velocity,
         )
-        return moment, measured
+        return moment.at_true_poses(true, self.from_measured), measured
 
     def _end_after(self, commands: Sequence[Tensor], moment: Moment) -> Tensor:
         """Return the true poses (N, 3) after the first of the commands; the others, (N, m), were held before it."""

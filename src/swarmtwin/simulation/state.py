@@ -33,11 +33,14 @@ class State:
     @property
     def neighbours(self) -> Tensor:
         """The others of its world as seen from each vehicle, (W, K, K − 1, 3): forward_mm, left_mm, turn_rad."""
-        vehicles = self.pose.shape[1]
-        others = torch.tensor(
-            [[other for other in range(vehicles) if other != own] for own in range(vehicles)], dtype=torch.long
-        )
-        return displacement_between(self.pose[:, :, None], self.pose[:, others.reshape(vehicles, vehicles - 1)])
+        return self.neighbours_at(self.pose)
+
+    def neighbours_at(self, pose: Tensor) -> Tensor:
+        """Return the same of others that are at poses (W, K, 3) by then, seen from where each vehicle is now."""
+        vehicles = pose.shape[1]
+        others = [[other for other in range(vehicles) if other != own] for own in range(vehicles)]
+        others_pose = pose[:, torch.tensor(others, dtype=torch.long).reshape(vehicles, vehicles - 1)]
+        return displacement_between(self.pose[:, :, None], others_pose)
 
     def __getitem__(self, worlds: Tensor | slice) -> "State":
         return State.of_parts({name: values[worlds] for name, values in self.parts().items()})

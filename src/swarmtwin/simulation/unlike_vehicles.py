@@ -34,17 +34,28 @@ class UnlikeVehicles:
     def step(self, state: State, command: Tensor, rng: torch.Generator | None = None) -> State:
         """Hold commands (W, K, m) for one control period, as `Simulation.step` does."""
         duration_s = None if rng is None else self.simulations[0].drawn_duration_s(state.pose.shape[:2], rng)
-        neighbours = state.neighbours
+        seen, after = state.neighbours, None
+        parts = [
+            (simulation, own, None if duration_s is None else duration_s[:, own])
+            for own, simulation in zip(self._columns(), self.simulations, strict=True)
+        ]
+        if any(simulation.sees_pushes for simulation in self.simulations):
+            ends = [
+                simulation.most_likely_end(state.of_vehicles(own), command[:, own], lasting_s, seen[:, own])
+                for simulation, own, lasting_s in parts
+            ]
+            after = state.neighbours_at(torch.cat(ends, dim=1))
         return State.side_by_side(
             [
                 simulation.step(
                     state.of_vehicles(own),
                     command[:, own],
-                    None if duration_s is None else duration_s[:, own],
+                    lasting_s,
                     rng,
-                    neighbours[:, own],
+                    seen[:, own],
+                    None if after is None else after[:, own],
                 )
-                for own, simulation in zip(self._columns(), self.simulations, strict=True)
+                for simulation, own, lasting_s in parts
             ]
         )
 

@@ -15,8 +15,8 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 class Config(Mechanism):
     """Each neighbour adds a velocity away from it: strength · exp(−distance / reach); negative attracts.
 
-    Vehicles that attract each other do not change places: in a period each comes half of the way between them at most.
-    Distances are those in the middle of the vehicle's own way; where the neighbour goes meanwhile is not known.
+    Vehicles that attract each other do not change places: they meet, and then go on together. A neighbour whose way is
+    not known stays, but for what it is pushed, as far as the vehicle and the other way.
     """
 
     stage: ClassVar = "body"
@@ -40,11 +40,20 @@ class Config(Mechanism):
             "reach_mm": Parameter(0.4 * length, 0.5 * least, None, "mm", (0.8 * length, 2 * length), 0.01 * length),
         }
 
-    def drift_velocity(self, displacement: Tensor, moment: Moment) -> Tensor:
-        """Add what all neighbours do."""
-        apart = displacement[:, None, :2] - moment.neighbours[..., :2]
-        distance_mm = apart.norm(dim=-1, keepdim=True) + 1e-3
-        speed_mm_s = self.strength_mm_s * torch.exp(-distance_mm / self.reach_mm)
-        met_mm_s = -distance_mm / (2 * moment.duration_s[:, None, None])
-        push = torch.maximum(speed_mm_s, met_mm_s) * apart / distance_mm
-        return rotate(push.nan_to_num(0.0).sum(dim=1), moment.pose[:, 2])
+    def drift_velocity(self, displacement: Tensor, moment: Moment, steps: int = 8) -> Tensor:
+        """Add what all neighbours do, step by step on the way of both."""
+        own, start = 2 * displacement[:, None, :2], moment.neighbours[..., :2]
+        duration_s = moment.duration_s[:, None, None]
+        way = None if moment.neighbours_after is None else moment.neighbours_after[..., :2] - start
+        pushed = last = torch.zeros_like(own)
+        for step in range(steps):
+            passed = (step + 0.5) / steps
+            neighbours = start - pushed if way is None else start + passed * way
+            apart = passed * own + pushed - neighbours
+            distance_mm = apart.norm(dim=-1, keepdim=True) + 1e-3
+            halfway_mm = (apart + (last if way is None else last / 2)).norm(dim=-1, keepdim=True)
+            away_mm = self.strength_mm_s * torch.exp(-halfway_mm / self.reach_mm) * duration_s / steps
+            pushes = torch.maximum(away_mm, -distance_mm / (2 if way is None else 1)) * apart / distance_mm
+            last = pushes.nan_to_num(0.0).sum(dim=1, keepdim=True)
+            pushed = pushed + last
+        return rotate(pushed[:, 0] / moment.duration_s[:, None], moment.pose[:, 2])
