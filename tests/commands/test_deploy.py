@@ -267,7 +267,7 @@ def test_ctrl_c_stops_the_vehicles_and_ends_with_130(stage):
     asked_s = time.monotonic()
     assert wait_until(lambda: not stage.moves(), 3)
     assert time.monotonic() - asked_s < ROBOT.period_s
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=120)
     assert process.returncode == 130, error
     assert "all vehicles stand; the recording is in" in error
     assert len(read_recording(Path("out"), ROBOT).tracks) == 2
@@ -308,7 +308,7 @@ def test_a_controller_that_freezes_is_stopped_by_the_supervisor_and_never_drives
     while time.monotonic() < until_s:
         moved |= stage.moves()
         time.sleep(0.005)
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=120)
     assert not moved
     assert process.returncode == 3, error
     assert "the supervisor has stopped the vehicles: the controller froze" in error
