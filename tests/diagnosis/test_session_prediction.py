@@ -7,7 +7,8 @@ from exact_base import ExactBase, session_of, still
 
 from exact_model import conditions_of
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
-from swarmtwin.geometry import displacement_between, log_map
+from swarmtwin.geometry import displacement_between, exp_map, log_map
+from swarmtwin.learning.situation import Situation
 from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.simulation.simulation import Simulation
 
@@ -60,6 +61,47 @@ def test_what_two_commands_leave_is_not_enough(robots):
     )
     wrong, wrong_apart = ((one.twist(lag) - measured).abs().numpy()[late].max() for one in (carried, apart))
     assert wrong < 0.1 < 1.0 < wrong_apart
+
+
+def test_neighbours_are_where_the_next_transition_measures_them_and_where_the_camera_truly_sees_them(robots):
+    """Two vehicles that push each other under a camera whose scale is off, the first from its tracks alone."""
+    base, rng = ExactBase(robots["mgr"]), np.random.default_rng(5)
+    values = {
+        "neighbour_interaction": {"strength_mm_s": 40.0, "reach_mm": 100.0},
+        "camera_scale": {"scale": 1.2},
+    }
+    mechanisms = [mechanism_class(name).at(own) for name, own in values.items()]
+    conditions, steps, runs = conditions_of(base.robot), 6, 20
+    simulation = Simulation(base, mechanisms, conditions)
+    start = np.concatenate([rng.uniform(400, 600, (runs, 2, 2)), rng.uniform(-3, 3, (runs, 2, 1))], axis=2)
+    states, commands = (
+        [simulation.start(torch.as_tensor(start))],
+        torch.as_tensor(rng.uniform(0, 90, (steps, runs, 2, 2))),
+    )
+    for command in commands:
+        states.append(simulation.step(states[-1], command))
+    pose = torch.stack([simulation.observe(state) for state in states])
+    own, other = pose[:, :, 0], pose[:, :, 1]
+    before, command = own[:-1].flatten(0, 1), commands[:, :, 0].flatten(0, 1)
+    situation = Situation(
+        command=command,
+        previous_command=command,
+        earlier_command=command,
+        pose=before,
+        elapsed_s=torch.zeros(len(before), dtype=torch.float64),
+        duration_s=torch.full((len(before),), base.robot.period_s, dtype=torch.float64),
+        neighbours=displacement_between(before, other[:-1].flatten(0, 1))[:, None],
+    )
+    row = np.arange(steps * runs).reshape(steps, runs)
+    follows = np.concatenate([np.full((1, runs), -1), row[:-1]]).ravel()
+    measured = displacement_between(before, own[1:].flatten(0, 1))
+    wrong_mm, alone_mm = (
+        (exp_map(SessionPredictor(base, conditions, situation, rows).twist(mechanisms)) - measured)[:, :2].norm(dim=-1)
+        for rows in (follows, np.full(len(follows), -1))
+    )
+    followed = slice(0, (steps - 1) * runs)
+    assert float(wrong_mm[followed].mean()) < 0.05
+    assert float(alone_mm[followed].mean()) > 4 * float(wrong_mm[followed].mean())
 
 
 def test_a_prediction_is_made_once(robots):

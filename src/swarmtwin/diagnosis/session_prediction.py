@@ -9,7 +9,7 @@ hold already what a cause does.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -99,7 +99,10 @@ class SessionPredictor:
 
     @cached_property
     def _neighbours_after(self) -> Tensor | None:
-        """Where neighbours (N, M, 3) are measured at the end: where they stay, nobody has measured that."""
+        """Where neighbours (N, M, 3) are at the end of each period, measured as it began: by the next transition.
+
+        Where none follows, they are taken to be where they were.
+        """
         pose, neighbours = self.situation.pose, self.situation.neighbours
         assert pose is not None
         assert neighbours is not None
@@ -218,16 +221,9 @@ class SessionPredictor:
         return kept
 
     def _twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int]) -> Tensor:
-        moment = self.moment()
-        measured = true = moment.pose
-        moving, changing = [], []
-        for mechanism in reversed(mechanisms):
-            before, true = true, mechanism.from_measured(true, self.conditions)
-            if true is not before:
-                moving.append(mechanism)
-        moved_camera = true is not measured
-        if moved_camera:
-            moment = moment.at_true_poses(true, partial(_from_measured, moving, self.conditions))
+        measured = self.moment()
+        moment, changing = measured.at_true_poses(mechanisms), []
+        moving = [one for one in mechanisms if type(one).from_measured is not Mechanism.from_measured]
         given = list(self._commands())
         late = [mechanism for mechanism in mechanisms if mechanism.latency_s() > 0] if self.sent else []
         if self.sent and late:  # known to the moment: what is in force is averaged, and nothing is late any more
@@ -256,12 +252,12 @@ class SessionPredictor:
         if memory and roles == (0, 1, 2):
             memory = self._carried(mechanisms, twists, memory)
         displacement = period_motion(mechanisms, twists, memory).displacement
-        if not moved_camera:
+        if not moving:
             return log_map(displacement)
-        end = compose(true, displacement)
+        end = compose(moment.pose, displacement)
         for mechanism in mechanisms:
             end = mechanism.to_measured(end, self.conditions)
-        return log_map(displacement_between(measured, end))
+        return log_map(displacement_between(measured.pose, end))
 
     def _carried(
         self,
@@ -307,10 +303,3 @@ def arrival_probability(mechanisms: Sequence[Mechanism]) -> float:
     for mechanism in mechanisms:
         arrives *= mechanism.arrival_probability()
     return arrives
-
-
-def _from_measured(moving: Sequence[Mechanism], conditions: SessionConditions, pose: Tensor) -> Tensor:
-    """Return which true poses (n, 3) are measured like these by a camera that mechanisms move, the last one first."""
-    for mechanism in moving:
-        pose = mechanism.from_measured(pose, conditions)
-    return pose

@@ -8,7 +8,7 @@ vehicles at a time; tensors are float64.
 from abc import ABC
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, ClassVar, Literal, NamedTuple, Self, cast, get_args
 
 import numpy as np
@@ -116,25 +116,19 @@ class Moment:
             neighbours=self.neighbours,
         )
 
-    def at_true_poses(self, pose: Tensor, from_measured: Callable[[Tensor], Tensor]) -> "Moment":
-        """Return it at true poses (N, 3) in place of those measured, neighbours at theirs as well.
-
-        Args:
-            pose: what `from_measured` makes of the poses.
-            from_measured: says which true poses (n, 3) are measured like some.
-        """
-
-        def seen(neighbours: Tensor) -> Tensor:
-            there = neighbours.isfinite().all(dim=-1)
-            if not there.any():
-                return neighbours
-            measured = compose(self.pose[:, None].expand_as(neighbours)[there], neighbours[there])
-            moved = neighbours.clone()
-            moved[there] = displacement_between(pose[:, None].expand_as(neighbours)[there], from_measured(measured))
-            return moved
-
-        after = None if self.neighbours_after is None else seen(self.neighbours_after)
-        return replace(self, pose=pose, neighbours=seen(self.neighbours), neighbours_after=after)
+    def at_true_poses(self, mechanisms: Iterable["Mechanism"]) -> "Moment":
+        """Return what was measured as it truly is, by what mechanisms make of the camera: poses, and neighbours."""
+        seen = partial(true_poses, tuple(mechanisms), conditions=self.conditions)
+        pose = seen(self.pose)
+        if pose is self.pose:
+            return self
+        neighbours, after = self.neighbours, self.neighbours_after
+        return replace(
+            self,
+            pose=pose,
+            neighbours=true_neighbours(self.pose, neighbours, seen),
+            neighbours_after=None if after is None else true_neighbours(self.pose, after, seen),
+        )
 
     @property
     def progress(self) -> Tensor:
@@ -145,6 +139,30 @@ class Moment:
     def track_mm(self) -> float:
         """Distance between the wheels; 1 where the robot has none, so that nothing is divided by zero."""
         return self.conditions.track_mm or 1.0
+
+
+def true_poses(mechanisms: Sequence["Mechanism"], pose: Tensor, conditions: SessionConditions) -> Tensor:
+    """Return which true poses (N, 3) are measured like these, by mechanisms in the order of the signal."""
+    for mechanism in reversed(mechanisms):
+        pose = mechanism.from_measured(pose, conditions)
+    return pose
+
+
+def true_neighbours(pose: Tensor, neighbours: Tensor, seen: Callable[[Tensor], Tensor]) -> Tensor:
+    """Return where others truly are, (N, M, 3) in vehicles' own frames; NaN where there is none.
+
+    Args:
+        pose: (N, 3) of the vehicles, as measured.
+        neighbours: (N, M, 3) of the others in their frames, as measured.
+        seen: says which true poses (n, 3) are measured like some.
+    """
+    there = neighbours.isfinite().all(dim=-1)
+    if not there.any():
+        return neighbours
+    own = pose[:, None].expand_as(neighbours)[there]
+    moved = neighbours.clone()
+    moved[there] = displacement_between(seen(own), seen(compose(own, neighbours[there])))
+    return moved
 
 
 class LocalTractionScore(NamedTuple):

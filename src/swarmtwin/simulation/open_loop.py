@@ -13,6 +13,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between, log_map
 from swarmtwin.recordings.recording import Track
 from swarmtwin.recordings.rows import at_most
+from swarmtwin.simulation.mechanism import true_neighbours
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.simulation.state import State
 from swarmtwin.transitions.neighbours import Moments, others_of
@@ -70,7 +71,9 @@ def open_loop(simulation: Simulation, tracks: Sequence[Track]) -> list[OpenLoop]
         neighbours = None
         if moments is not None:
             others = moments[now].poses(pose, simulation.robot)
-            neighbours = torch.as_tensor(displacement_between(pose[now][:, None], others))[:, None]
+            own = torch.as_tensor(pose[now])
+            neighbours = displacement_between(own[:, None], torch.as_tensor(others))
+            neighbours = true_neighbours(own, neighbours, simulation.from_measured)[:, None]
         duration_s = torch.as_tensor(rows.time_s[now + 1] - rows.time_s[now])[:, None]
         moved = simulation.step(
             state[track], torch.as_tensor(rows.command[now])[:, None], duration_s, neighbours=neighbours

@@ -146,7 +146,9 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
     ends = (*sorted(share for share in {*inner, latency} if 0.0 < share < 1.0), 1.0)
     transient = math.prod(mechanism.share_of_transient() for mechanism in mechanisms)
     transient_lag = sum(mechanism.transient_lag_s() for mechanism in mechanisms) / robot.period_s
-    return Following(place, ends, latency, added_lag, transient, transient_lag and transient_lag + added_lag)
+    if transient_lag:  # a change that itself takes longer brings things about for longer
+        transient_lag += added_lag
+    return Following(place, ends, latency, added_lag, transient, transient_lag)
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:
@@ -194,9 +196,11 @@ def _traction(mechanism: Mechanism, pose: Tensor, moment: Moment) -> Tensor | No
 
 def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, twists: BaseTwists) -> Tensor:
     """Add what slopes, currents and other vehicles do to displacements (N, 3), as far as walls let them."""
-    moment = twists.moment
-    halfway = exp_map(log_map(displacement) / 2)
-    for mechanism in (mechanism for mechanism in mechanisms if mechanism.stage == "body"):
+    moving = [mechanism for mechanism in mechanisms if mechanism.stage == "body"]
+    if not moving:
+        return displacement
+    moment, halfway = twists.moment, exp_map(log_map(displacement) / 2)
+    for mechanism in moving:
         velocity_mm_s = mechanism.drift_velocity(halfway, moment)
         if velocity_mm_s is not None:
             carried, came_to = velocity_mm_s * moment.duration_s[:, None], compose(moment.pose, displacement)

@@ -19,7 +19,7 @@ from swarmtwin.robot import SituationPart
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on, true_poses
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import period_motion, remembered_after_long, remembered_after_two
 from swarmtwin.simulation.state import State
@@ -148,7 +148,7 @@ class Simulation(nn.Module):
         command = self._in_force(state, torch.as_tensor(command, dtype=torch.float64), rng)
         if duration_s is None and rng is not None:
             duration_s = self.drawn_duration_s(shape, rng)
-        if neighbours is None and neighbours_after is None and self.sees_pushes:
+        if neighbours is None and neighbours_after is None and self.looks_at_neighbours:
             neighbours_after = state.neighbours_at(self.most_likely_end(state, command, duration_s))
         moment = self._moment(state, duration_s, neighbours, neighbours_after)
         commands, memory = self._carried_on(state, command)
@@ -177,7 +177,7 @@ class Simulation(nn.Module):
         )
 
     @property
-    def sees_pushes(self) -> bool:
+    def looks_at_neighbours(self) -> bool:
         """Whether a mechanism looks at neighbours."""
         return any("neighbours" in mechanism.inputs for mechanism in self.mechanisms)
 
@@ -242,9 +242,7 @@ class Simulation(nn.Module):
 
     def from_measured(self, pose: Tensor) -> Tensor:
         """Return which true poses (N, 3) are measured like this."""
-        for mechanism in reversed(self.mechanisms):
-            pose = mechanism.from_measured(pose, self.conditions)
-        return pose
+        return true_poses(self.mechanisms, pose, self.conditions)
 
     def _drawn_members(self, shape: Sequence[int], rng: torch.Generator | None) -> dict[str, Tensor]:
         """Return which member of a probabilistic model each vehicle (W, K) is, for as long as it drives.
@@ -309,7 +307,6 @@ class Simulation(nn.Module):
         duration_s = situation.duration_s if situation.duration_s is not None else torch.full((count,), period_s)
         neighbours = situation.neighbours if situation.neighbours is not None else torch.zeros(count, 0, 3)
         measured = measured.double()
-        true = self.from_measured(measured)
         velocity = situation.velocity.double().nan_to_num() if situation.velocity is not None else None
         moment = Moment(
             robot=self.robot,
@@ -320,7 +317,7 @@ class Simulation(nn.Module):
             neighbours=neighbours.double(),
             velocity=velocity,
         )
-        return moment.at_true_poses(true, self.from_measured), measured
+        return moment.at_true_poses(self.mechanisms), measured
 
     def _end_after(self, commands: Sequence[Tensor], moment: Moment) -> Tensor:
         """Return the true poses (N, 3) after the first of the commands; the others, (N, m), were held before it."""

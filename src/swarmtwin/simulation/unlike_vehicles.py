@@ -39,7 +39,7 @@ class UnlikeVehicles:
             (simulation, own, None if duration_s is None else duration_s[:, own])
             for own, simulation in zip(self._columns(), self.simulations, strict=True)
         ]
-        if any(simulation.sees_pushes for simulation in self.simulations):
+        if any(simulation.looks_at_neighbours for simulation in self.simulations):
             ends = [
                 simulation.most_likely_end(state.of_vehicles(own), command[:, own], lasting_s, seen[:, own])
                 for simulation, own, lasting_s in parts

@@ -23,7 +23,7 @@ class Config(Mechanism):
     words: ClassVar = "commands act {delay_s} late"
     remedy: ClassVar = "check network, broker and camera for latency"
     parameters: ClassVar = {"delay_s": Parameter(0.0, 1.0, 0.0, "s", (0.1,))}
-    inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command",)
+    inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     says_when: ClassVar = True
 
     name: Literal["command_delay"] = "command_delay"

@@ -41,7 +41,7 @@ class Config(Mechanism):
         }
 
     def drift_velocity(self, displacement: Tensor, moment: Moment, steps: int = 8) -> Tensor:
-        """Add what all neighbours do, step by step on the way of both."""
+        """Add what all neighbours do, in so many steps on the way of both."""
         own, start = 2 * displacement[:, None, :2], moment.neighbours[..., :2]
         duration_s = moment.duration_s[:, None, None]
         way = None if moment.neighbours_after is None else moment.neighbours_after[..., :2] - start
