@@ -207,13 +207,14 @@ class _Search:
 
     def polished(self, values: np.ndarray) -> np.ndarray:
         """Search a little around values where the motion changes by jumps."""
-        effects = self.model.effects_with(self.at(values))
+        near = self.at(values)
+        effects = self.model.effects_with(near)
 
         def loss(scaled: np.ndarray) -> float:
             moved = values + scaled * self.step
             if np.any(moved < self.low) or np.any(moved > self.high):
                 return np.inf
-            return effects.loss(self.whitened(moved))
+            return effects.loss(self.model.whitened_near(self.at(moved), near).ravel())
 
         simplex = np.concatenate([np.zeros((1, len(values))), np.eye(len(values)) * 1.5])
         options = {

@@ -7,7 +7,7 @@ The velocity of a simulation with momentum is simulated from the first measured 
 hold already what a cause does.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -26,7 +26,16 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import one_member
 from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import FOLLOWING, SETTING, end_memory, period_motion, remembered_after_two
+from swarmtwin.simulation.signal_chain import (
+    FOLLOWING,
+    ActuatorMotion,
+    Memory,
+    end_memory,
+    following_motion,
+    period_motion,
+    remembered_after_two,
+    with_own_memory,
+)
 
 
 class LossOutcomes(NamedTuple):
@@ -140,13 +149,16 @@ class SessionPredictor:
         """Return how each transition goes, by which of its commands arrived."""
         return LossOutcomes(*(self._known_twist(mechanisms, roles) for roles in _OUTCOMES))
 
-    def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 24) -> Tensor:
-        """Return the twists (N, 3), known what arrived; those of the last few mechanisms are not predicted anew."""
+    def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 4_000_000) -> Tensor:
+        """Return the twists (N, 3), known what arrived.
+
+        Those of the last mechanisms, of `most_kept` transitions altogether, are not predicted anew: 100 megabytes.
+        """
         acting = in_signal_order(one for one in mechanisms if not one.is_arrival_alone)
         key = (*roles, *(mechanism.model_dump_json() for mechanism in acting))
         twist = self.twists.pop(key, None)
         self.twists[key] = self._twist(acting, roles) if twist is None else twist
-        if len(self.twists) > most_kept:
+        if len(self.twists) > max(24, most_kept // len(self.situation)):
             del self.twists[next(iter(self.twists))]
         return self.twists[key]
 
@@ -248,10 +260,10 @@ class SessionPredictor:
         undisturbed = self._as_sent() if changing else None
         twists = BaseTwists(self.base, moment, given, answers, roles, bool(nominal), self.follows, undisturbed)
         twists = self._from_own_velocity(twists)
-        memory = remembered_after_two(mechanisms, twists)
+        memory, followed = remembered_after_two(mechanisms, twists), None
         if memory and roles == (0, 1, 2):
-            memory = self._carried(mechanisms, twists, memory)
-        displacement = period_motion(mechanisms, twists, memory).displacement
+            memory, followed = self._carried(mechanisms, twists, memory)
+        displacement = period_motion(mechanisms, twists, memory, followed).displacement
         if not moving:
             return log_map(displacement)
         end = compose(moment.pose, displacement)
@@ -260,41 +272,66 @@ class SessionPredictor:
         return log_map(displacement_between(measured.pose, end))
 
     def _carried(
-        self,
-        mechanisms: Sequence[Mechanism],
-        twists: BaseTwists,
-        memory: dict[str, Tensor],
-        most_rounds: int = 40,
-        tolerance: float = 1e-3,
-    ) -> dict[str, Tensor]:
+        self, mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory
+    ) -> tuple[dict[str, Tensor], ActuatorMotion]:
         """Return what actuators remember at the start of each transition, carried from the start of its run.
+
+        What follows a command is carried first, since it hangs on nothing else; so how actuators follow is asked once.
 
         Args:
             mechanisms: in the order of the signal.
             twists: what the base answers.
             memory: where the rounds begin: what two commands leave.
+        """
+        following = {name: values for name, values in memory.items() if name in FOLLOWING}
+        following = self._settled(following, _end_of_following(mechanisms, twists, following))
+        followed = following_motion(mechanisms, twists, 0, following)
+        own = {name: values for name, values in memory.items() if name not in FOLLOWING}
+        own = self._settled(own, lambda start: with_own_memory(mechanisms, followed, twists, 0, start).memory)
+        return following | own, followed
+
+    def _settled(
+        self,
+        memory: Memory,
+        ended: Callable[[Memory], Memory],
+        most_rounds: int = 40,
+        tolerance: float = 1e-3,
+    ) -> dict[str, Tensor]:
+        """Return memory at the start of transitions, each from the end of the one before it, until nothing changes.
+
+        Args:
+            memory: where the rounds begin.
+            ended: takes memory from the start of each period to its end.
             most_rounds: of a memory that does not forget.
             tolerance: change, as a share of the memory's own spread, below which nothing is said to change.
         """
-        first = {name: values for name, values in memory.items() if name in FOLLOWING}
-        if SETTING in first and len(first) < len(
-            memory
-        ):  # settings hang on nothing else, and what they bring about is asked once
-            memory = memory | self._carried(mechanisms, twists, first, most_rounds, tolerance)
-        known = torch.as_tensor(self.follows >= 0)
-        before = torch.as_tensor(np.maximum(self.follows, 0))
-        for _ in range(most_rounds):
-            ended = end_memory(mechanisms, twists, memory)
-            change, carried = 0.0, {}
-            for name, values in memory.items():
-                mask = known.reshape(-1, *([1] * (values.dim() - 1)))
-                carried[name] = torch.where(mask, ended[name][before], values)
-                spread = values.std(dim=0).clamp(min=1e-9)
-                change = max(change, float(((carried[name] - values).abs() / spread).max()))
-            memory = carried
+        settled = dict(memory)
+        spread = {name: values.std(dim=0).clamp(min=1e-9) for name, values in memory.items()}
+        follow = np.flatnonzero(self.follows >= 0)
+        rows, before = torch.as_tensor(follow), torch.as_tensor(self.follows[follow])
+        for _ in range(most_rounds if settled else 0):
+            end = ended(settled)
+            carried = {name: values.index_copy(0, rows, end[name][before]) for name, values in settled.items()}
+            change = max(float(((carried[name] - settled[name]).abs() / spread[name]).max()) for name in settled)
+            settled = carried
             if change < tolerance:
                 break
-        return memory
+        return settled
+
+
+def _end_of_following(
+    mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory
+) -> Callable[[Memory], Memory]:
+    """Return what takes what follows a command from the start of each period to its end.
+
+    Each value goes towards where the command leads by its own share of the way, so two ends tell where any start leads.
+    """
+    from_zero, from_one = (
+        end_memory(mechanisms, twists, {name: torch.full_like(values, start) for name, values in memory.items()})
+        for start in (0.0, 1.0)
+    )
+    left = {name: from_one[name] - from_zero[name] for name in memory}
+    return lambda start: {name: torch.addcmul(from_zero[name], left[name], start[name]) for name in memory}
 
 
 def arrival_probability(mechanisms: Sequence[Mechanism]) -> float:

@@ -88,11 +88,11 @@ class Following(NamedTuple):
         own_lags = twists.moment.conditions.own_lags
         twist, undisturbed = moving
         for share, target in zip(whole.shares, whole._targets_between(twists, supply), strict=True):
-            _, twist = _relaxed_twist(twist, target, share, own_lags)
+            twist = target + (twist - target) * _left_at_last(share, own_lags)
         for change in whole._setting_changes(twists, setting):
             setting = change.end
-        _, undisturbed = _relaxed_twist(undisturbed, supply(twists.steady(self.place)), 1.0, own_lags)
-        return setting, ActuatorTwists(twist, undisturbed)
+        steady = supply(twists.steady(self.place))
+        return setting, ActuatorTwists(twist, steady + (undisturbed - steady) * _left_at_last(1.0, own_lags))
 
     def _targets_between(self, twists: BaseTwists, supply: Supply) -> Iterator[Tensor]:
         """Yield for each piece the twist (N, 3) of what is left on average of the way from one command to the next."""
@@ -243,8 +243,10 @@ def _relaxed_twist(
     (N, 3) comes first: half the integral of the Lie bracket of earlier and later twists, as Magnus (1954) expands
     g' = g ξ.
     """
-    late = start - target
     lags = [own + added_lag for own in own_lags]
+    if not any(lags):
+        return target, target
+    late = start - target
     on_average, left = (start.new_tensor(part) for part in zip(*(left_over(share, lag) for lag in lags), strict=True))
     ahead, aside, turn = (
         _Fading(target[:, axis], late[:, axis], lags[axis] / share, *left_over(share, lags[axis])) for axis in range(3)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from swarmtwin.geometry import compose, exp_map, log_map, rotate
+from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, rotate
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.efforts import scaled_by_effort, slowed
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
@@ -75,7 +75,7 @@ def end_memory(
     """Return what actuators remember at the end of the period of the command in a place, from what they did before."""
     if not FOLLOWING.issuperset(memory):
         return actuator_motion(mechanisms, twists, place, memory).memory
-    moment = replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
+    moment = _given(twists, place)
     following, supply = _following(mechanisms, moment, place), partial(_supplied, mechanisms, moment)
     if SETTING in memory:
         return _settings_at_end(following, twists, supply, memory)
@@ -92,38 +92,67 @@ def _settings_at_end(following: Following, twists: BaseTwists, supply: Supply, m
 
 def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
     """Move the actuators through the period of the command in a place, after those before it."""
-    moment = replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
+    return with_own_memory(mechanisms, following_motion(mechanisms, twists, place, memory), twists, place, memory)
+
+
+def following_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
+    """Let the actuators follow the command in a place, whatever mechanisms with a memory of their own make of it."""
+    moment = _given(twists, place)
     supply = partial(_supplied, mechanisms, moment)
     following = _following(mechanisms, moment, place)
-    carried = dict(memory)
+    followed = {name: memory[name] for name in memory if name in FOLLOWING}
     correction = None
-    if not carried:  # nothing late, gradual or with memory: the model's own answer
+    if not followed:  # nothing late, gradual or with memory: the model's own answer
         response = supply(twists.response(place))
         pieces = [response] * len(following.ends)
         goes_on = "previous_command" in twists.dynamics.inputs and _follow_clock(mechanisms)
         end = supply(twists.steady(place)) if goes_on else response
     else:
-        moving = ActuatorTwists(carried[TWIST], carried[REFERENCE_TWIST])
+        moving = ActuatorTwists(followed[TWIST], followed[REFERENCE_TWIST])
         if moment.robot.actuation.kind == "thrust":
-            pieces, correction, moving = following.settings(twists, supply, carried[SETTING], moving)
-            carried |= _settings_at_end(following, twists, supply, carried)
+            pieces, correction, moving = following.settings(twists, supply, followed[SETTING], moving)
+            followed = _settings_at_end(following, twists, supply, followed)
         else:
             pieces, correction, moving = following.wheels(twists, supply, moving)
-            carried |= {TWIST: moving.now, REFERENCE_TWIST: moving.undisturbed}
+            followed = {TWIST: moving.now, REFERENCE_TWIST: moving.undisturbed}
         end = moving.now
-    for mechanism in mechanisms:
-        if mechanism.name in carried:
-            for index, share in enumerate(following.shares):
-                pieces[index], carried[mechanism.name] = mechanism.actuator_response(
-                    pieces[index], carried[mechanism.name], share, moment
-                )
-    return ActuatorMotion(list(zip(following.shares, pieces, strict=True)), correction, end, carried)
+    return ActuatorMotion(list(zip(following.shares, pieces, strict=True)), correction, end, followed)
 
 
-def period_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory) -> PeriodMotion:
-    """Move N vehicles through one control period under the present command, without chance."""
+def with_own_memory(
+    mechanisms: Sequence[Mechanism], motion: ActuatorMotion, twists: BaseTwists, place: int, memory: Memory
+) -> ActuatorMotion:
+    """Return a motion of actuators with what mechanisms make of it that have a memory of their own."""
+    acting = [mechanism for mechanism in mechanisms if mechanism.name in memory]
+    if not acting:
+        return motion
+    moment, pieces, carried = _given(twists, place), [], dict(memory) | motion.memory
+    for share, twist in motion.pieces:
+        for mechanism in acting:
+            twist, carried[mechanism.name] = mechanism.actuator_response(twist, carried[mechanism.name], share, moment)
+        pieces.append((share, twist))
+    return motion._replace(pieces=pieces, memory=carried)
+
+
+def _given(twists: BaseTwists, place: int) -> Moment:
+    """Return the moment in which vehicles are given the command in a place."""
+    return replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
+
+
+def period_motion(
+    mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory, followed: ActuatorMotion | None = None
+) -> PeriodMotion:
+    """Move N vehicles through one control period under the present command, without chance.
+
+    Args:
+        mechanisms: in the order of the signal.
+        twists: what the dynamics model answers.
+        memory: what actuators remember at the start.
+        followed: what `following_motion` says of the same, where that is known already.
+    """
     moment = twists.moment
-    motion = actuator_motion(mechanisms, twists, 0, memory)
+    followed = followed or following_motion(mechanisms, twists, 0, memory)
+    motion = with_own_memory(mechanisms, followed, twists, 0, memory)
     displacement, end = _on_the_ground(mechanisms, motion, moment)
     if motion.correction is not None:
         displacement = exp_map(log_map(displacement) + motion.correction)
@@ -172,14 +201,15 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
     gripping = [mechanism for mechanism in mechanisms if mechanism.stage == "ground"]
     if not gripping:
         return composed(motion.pieces), motion.end
-    moved, end, factor = torch.zeros_like(motion.end), motion.end, None
+    pose, end, factor = moment.pose, motion.end, None
     for share, twist in motion.pieces:
-        middle = compose(moment.pose, compose(moved, exp_map(twist * (share / 2))))
+        middle = compose(pose, exp_map(twist * (share / 2)))
         factor = torch.ones(len(middle), 1, dtype=torch.float64)
         for mechanism in gripping:
             traction = _traction(mechanism, middle, moment)
             factor = factor if traction is None else factor * traction
-        moved = compose(moved, exp_map(slowed(twist, factor, moment.track_mm) * share))
+        pose = compose(pose, exp_map(slowed(twist, factor, moment.track_mm) * share))
+    moved = displacement_between(moment.pose, pose)
     return moved, end if factor is None else slowed(end, factor, moment.track_mm)
 
 
