@@ -10,7 +10,7 @@ import torch
 from exact_model import ExactDynamics, conditions_of, moved, simulation_with, situation_of
 from swarmtwin.geometry import compose, exp_map, log_map, rotate
 from swarmtwin.simulation.efforts import wheel_travel
-from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names
+from swarmtwin.simulation.mechanism import in_signal_order, mechanism_class, mechanism_names, true_poses
 
 ROBOTS = ("mgr", "mur", "create")
 LENS_MM = 1e-6
@@ -132,6 +132,24 @@ def test_a_camera_is_undone_exactly(robots, robot, name, values):
     assert (measured - situation.pose).abs().max() > 0.1
     back = camera.from_measured(measured, conditions)
     torch.testing.assert_close(back, situation.pose, rtol=0, atol=LENS_MM if name == "lens_distortion" else 1e-9)
+
+
+def test_wrong_millimetres_per_pixel_are_those_of_what_the_lens_has_bent(robots):
+    """Whatever order they are named in: measured = scale · r · (1 + coefficient · r²), r that of the true position."""
+    conditions, pose = conditions_of(robots["mgr"]), situation_of(robots["mgr"], np.random.default_rng(6)).pose
+    lens, scale = (
+        mechanism_class("lens_distortion").at({"coefficient": 0.3}),
+        mechanism_class("camera_scale").at({"scale": 0.8}),
+    )
+    away = pose[:, :2] - conditions.centre_mm
+    expected = 0.8 * away * (1 + 0.3 * (away / conditions.corner_mm).square().sum(dim=-1, keepdim=True))
+    for chosen in ((lens, scale), (scale, lens)):
+        ordered = in_signal_order(chosen)
+        measured = pose
+        for mechanism in ordered:
+            measured = mechanism.to_measured(measured, conditions)
+        torch.testing.assert_close(measured[:, :2] - conditions.centre_mm, expected, rtol=0, atol=1e-9)
+        torch.testing.assert_close(true_poses(ordered, measured, conditions), pose, rtol=0, atol=LENS_MM)
 
 
 def test_where_no_position_is_measured_the_nearest_that_is_was(robots):

@@ -193,6 +193,7 @@ class Mechanism(StrictModel, ABC):
         says_when: whether it says how late, or how gradually, actuators follow a command.
         is_smooth: whether the motion changes gradually with the parameters.
         is_arrival_alone: whether it decides that commands arrive and nothing else: known what arrived, it does nothing.
+        place_in_stage: of several in a stage, those of smaller numbers act first, those of the same one by name.
     """
 
     stage: ClassVar[Stage]
@@ -203,6 +204,7 @@ class Mechanism(StrictModel, ABC):
     says_when: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
     is_arrival_alone: ClassVar[bool] = False
+    place_in_stage: ClassVar[int] = 0
 
     name: str
 
@@ -386,8 +388,8 @@ def offered(robot: Robot, conditions: SessionConditions) -> dict[str, type[Mecha
 
 
 def in_signal_order(chosen: Iterable[Mechanism]) -> tuple[Mechanism, ...]:
-    """Return mechanisms in the order of the signal chain; by name within a stage."""
-    return tuple(sorted(chosen, key=lambda one: (STAGES.index(one.stage), one.name)))
+    """Return mechanisms in the order of the signal chain."""
+    return tuple(sorted(chosen, key=lambda one: (STAGES.index(one.stage), one.place_in_stage, one.name)))
 
 
 def passed_on(mechanism: Mechanism, commands: Sequence[Tensor], moment: Moment) -> list[Tensor]:

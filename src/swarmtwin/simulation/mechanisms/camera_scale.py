@@ -11,13 +11,17 @@ from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
 
 class Config(Mechanism):
-    """Measured positions are `scale` times as far from the image's middle as true ones; headings are right."""
+    """Measured positions are `scale` times as far from the image's middle as true ones; headings are right.
+
+    It acts after the lens: what that has bent is counted in wrong millimetres per pixel.
+    """
 
     stage: ClassVar = "camera"
     words: ClassVar = "the camera measures distances {scale} times as long as they are"
     remedy: ClassVar = "calibrate the camera's millimetres per pixel anew"
     parameters: ClassVar = {"scale": Parameter(0.5, 2.0, 1.0, "", (1.0,), 0.005)}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
+    place_in_stage: ClassVar = 1
 
     name: Literal["camera_scale"] = "camera_scale"
     scale: float
