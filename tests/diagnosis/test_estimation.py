@@ -1,5 +1,7 @@
 """What is planted is found again: parameters, their uncertainty, and nothing else."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -82,6 +84,21 @@ def test_a_planted_parameter_is_recovered_within_its_standard_errors(robots, nam
     assert (error < LARGEST_ERROR[name]).all(), error
     assert (abs(found.values - wanted) < 3 * error).all(), (found.values, wanted, error)
     assert estimate(model, found.mechanisms).evidence > estimate(model, []).evidence + 100
+
+
+@pytest.mark.parametrize("probability", [0.01, 0.05, 0.15])
+@pytest.mark.parametrize("seed", range(3))
+def test_of_how_many_commands_are_lost_no_more_is_known_than_by_counting_them(robots, probability, seed):
+    """What the camera errs lasts into the next transition, so that there it matters which course the last one took."""
+    base, rng, camera = ExactBase(robots["mgr"]), np.random.default_rng(seed), np.array([4.0, 4.0, 0.03])
+    gentle = rng.uniform(base.robot.command_low, base.robot.command_high, (30, 60, 2)) / 4
+    session = session_of(base, rng, moved=Losing(probability, seed), camera=camera, command=gentle)
+    model = SessionLikelihood(base, replace(known_noise(), camera=camera**2), session)
+    found = estimate(model, [mechanism_class("command_loss").at({"probability": 0.05})])
+    (share,) = found.values
+    counted = len(session) / (share * (1 - share))
+    assert 0.25 * counted < found.information[0, 0] < counted
+    assert abs(share - probability) < 3.5 / np.sqrt(found.information[0, 0])
 
 
 class Levelling(ExactBase):

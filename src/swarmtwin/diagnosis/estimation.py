@@ -189,15 +189,28 @@ class _Search:
                 return values
         return self.clipped(values)
 
-    def _total(self, values: np.ndarray) -> float:
-        return self.model.evaluate(self.at(values)).total
+    def by_likelihood(self, values: np.ndarray, rounds: int = 3) -> np.ndarray:
+        """Search the likelihood itself, where which commands arrived is summed over; steps are in standard errors.
 
-    def by_likelihood(self, values: np.ndarray) -> np.ndarray:
-        """Search the likelihood itself, where which commands arrived is summed over; steps are in standard errors."""
-        information, _ = self._curvature(values)
+        Which course each transition took stays as it is in each of so many rounds, since the likelihood jumps with it.
+        """
+        courses = self.model.evaluate(self.at(values)).courses
+        for _ in range(rounds):
+            values = self._likeliest_by_courses(values, courses)
+            before, courses = courses, self.model.evaluate(self.at(values)).courses
+            if (before == courses).all():
+                break
+        return values
+
+    def _likeliest_by_courses(self, values: np.ndarray, courses: np.ndarray) -> np.ndarray:
+        information, _ = self._curvature(values, courses)
         scale = 1 / np.sqrt(np.diag(information))
+
+        def cost(scaled: np.ndarray) -> float:
+            return -self.model.evaluate(self.at(self.clipped(scaled * scale)), courses=courses).total
+
         found = optimize.minimize(
-            lambda scaled: -self._total(self.clipped(scaled * scale)),
+            cost,
             values / scale,
             method="L-BFGS-B",
             bounds=list(zip(self.low / scale, self.high / scale, strict=True)),
@@ -282,7 +295,7 @@ class _Search:
             nothing = np.zeros((0, 0))
             return EstimatedSet(fitted, values, nothing, np.zeros((runs, 0)), nothing, evidence)
         if lossy:
-            curvature, scores = self._curvature(values)
+            curvature, scores = self._curvature(values, fitted.courses)
             information, naive = curvature, np.linalg.inv(curvature)
         else:
             slopes = self.slopes(values, fitted.whitened.ravel())
@@ -298,18 +311,22 @@ class _Search:
         evidence += len(values) * np.log(2 * np.pi) / 2 - float(np.linalg.slogdet(curvature)[1]) / 2
         return EstimatedSet(fitted, values, information, by_run, naive, evidence)
 
-    def _curvature(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the curvature (P, P) of the log-likelihood by its scores (N, P), and these."""
-        scores = np.stack([self._slope(values, index) for index in range(len(values))], axis=-1)
+    def _curvature(self, values: np.ndarray, courses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the curvature (P, P) of the log-likelihood by its scores (N, P), and these.
+
+        Which course each transition took stays as it is: where that changes, one transition's log-likelihood jumps and
+        the next one's jumps back, and the squares of both would be taken for information.
+        """
+        scores = np.stack([self._slope(values, index, courses) for index in range(len(values))], axis=-1)
         return scores.T @ scores + self.prior_precision, scores
 
-    def _slope(self, values: np.ndarray, index: int) -> np.ndarray:
+    def _slope(self, values: np.ndarray, index: int, courses: np.ndarray) -> np.ndarray:
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
             moved[index] += sign * self.step[index]
             moved = self.clipped(moved)
-            ends.append((moved[index], self.model.evaluate(self.at(moved)).log_likelihood))
+            ends.append((moved[index], self.model.evaluate(self.at(moved), courses=courses).log_likelihood))
         (ahead, first), (back, second) = ends
         slope: np.ndarray = (first - second) / max(ahead - back, 1e-12)
         return slope

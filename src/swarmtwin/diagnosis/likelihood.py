@@ -43,7 +43,7 @@ class FittedMechanisms:
         scale: (3,) how much wider these spread than the reference's.
         penalty: nats that the random effects' size costs.
         effect_errors: (N, 3) what random effects make of the errors.
-        is_lost: (N,) transitions in which a command seems to have been lost, now or before.
+        courses: (N,) each transition's likeliest course, by which commands arrived, as in `LossOutcomes`: 0 all.
     """
 
     mechanisms: tuple[Mechanism, ...]
@@ -53,7 +53,13 @@ class FittedMechanisms:
     scale: np.ndarray
     penalty: float
     effect_errors: np.ndarray
-    is_lost: np.ndarray
+    courses: np.ndarray
+
+    @property
+    def is_lost(self) -> np.ndarray:
+        """(N,) transitions in which a command seems to have been lost, now or before."""
+        lost: np.ndarray = self.courses > 0
+        return lost
 
     @property
     def total(self) -> float:
@@ -218,12 +224,24 @@ class SessionLikelihood(SessionErrors):
             columns.append(change / (moved[index] - values[index]))
         return np.stack(columns, axis=-1) if columns else np.zeros((*here.shape, 0))
 
-    def evaluate(self, mechanisms: Sequence[Mechanism], effects: RandomEffects | None = None) -> FittedMechanisms:
-        """Return how likely the session is with mechanisms as they are."""
+    def evaluate(
+        self,
+        mechanisms: Sequence[Mechanism],
+        effects: RandomEffects | None = None,
+        courses: np.ndarray | None = None,
+    ) -> FittedMechanisms:
+        """Return how likely the session is with mechanisms as they are.
+
+        Args:
+            mechanisms: some of which may lose commands.
+            effects: what is unknown beside them; None: what is without any mechanism.
+            courses: (N,) the course by which each transition says what noise the next one begins with, where commands
+                may be lost; None: the likeliest, which changes by jumps with the mechanisms.
+        """
         effects = effects or self.effects
         arrives = arrival_probability(mechanisms)
         freedom, volume = self.noise.degrees_of_freedom, self.filter.log_volume
-        is_lost = np.zeros(len(self.session), bool)
+        taken = np.zeros(len(self.session), int)
         if arrives >= 1.0:
             whitened = self.whitened(mechanisms)
             sizes = effects.sizes(whitened)
@@ -232,12 +250,12 @@ class SessionLikelihood(SessionErrors):
             scale = self._scale(residual)
             density = log_density(residual / scale, freedom)
         else:
-            lost, where_lost = LostCommands(self, mechanisms), self._unit_effects_where_lost
+            lost, where_lost = LostCommands(self, mechanisms, courses), self._unit_effects_where_lost
             for _ in range(2):
                 sizes = effects.sizes(lost.whitened)
                 effect_errors = self.filter.inverse(effects.of_sizes(sizes))
                 lost.expect(effect_errors, where_lost @ sizes[: where_lost.shape[-1]])
-            is_lost = lost.likeliest > 0
+            taken = lost.likeliest
             whitened, sizes = lost.whitened, effects.sizes(lost.whitened)
             shift = effects.of_sizes(sizes)
             residual = whitened - shift
@@ -247,7 +265,7 @@ class SessionLikelihood(SessionErrors):
         penalty = float(sizes @ sizes) / 2 + self._scale_penalty(scale)
         effect_errors = self.filter.inverse(shift)
         return FittedMechanisms(
-            tuple(mechanisms), log_likelihood, whitened, residual, scale, penalty, effect_errors, is_lost
+            tuple(mechanisms), log_likelihood, whitened, residual, scale, penalty, effect_errors, taken
         )
 
     def log_likelihood_with_motion_noise(self, mechanisms: Sequence[Mechanism], factor: float) -> np.ndarray:

@@ -17,14 +17,17 @@ class LostCommands:
     Args:
         model: of the session of N transitions.
         mechanisms: some of which lose commands.
+        courses: (N,) taken for the likeliest ones; None: these are looked for.
 
     Attributes:
         likeliest: (N,) each transition's likeliest course, 0 where both its commands arrived.
         whitened: (N, 3) errors of that course.
     """
 
-    def __init__(self, model: SessionErrors, mechanisms: Sequence[Mechanism]) -> None:
-        self._model = model
+    def __init__(
+        self, model: SessionErrors, mechanisms: Sequence[Mechanism], courses: np.ndarray | None = None
+    ) -> None:
+        self._model, self._taken = model, courses
         self._arrives = _arrival_probability(mechanisms)
         self._errors = _errors_of_courses(model, mechanisms)
         self.expect(np.zeros((len(self._errors), 3)), np.zeros_like(self._errors))
@@ -38,7 +41,10 @@ class LostCommands:
         """
         errors = self._errors - where_lost
         each = np.arange(len(errors))
-        self.likeliest = _likeliest(self._model, errors - effect_errors[..., None], self._arrives)
+        if self._taken is None:
+            self.likeliest = _likeliest(self._model, errors - effect_errors[..., None], self._arrives)
+        else:
+            self.likeliest = self._taken
         chosen = errors[each, :, self.likeliest]
         history = np.repeat(chosen[..., None], errors.shape[-1], axis=-1)
         self._courses = self._model.filter.with_history(errors, history)
