@@ -149,16 +149,13 @@ class SessionPredictor:
         """Return how each transition goes, by which of its commands arrived."""
         return LossOutcomes(*(self._known_twist(mechanisms, roles) for roles in _OUTCOMES))
 
-    def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 4_000_000) -> Tensor:
-        """Return the twists (N, 3), known what arrived.
-
-        Those of the last mechanisms, of `most_kept` transitions altogether, are not predicted anew: 100 megabytes.
-        """
+    def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 24) -> Tensor:
+        """Return the twists (N, 3), known what arrived; those of the last few mechanisms are not predicted anew."""
         acting = in_signal_order(one for one in mechanisms if not one.is_arrival_alone)
         key = (*roles, *(mechanism.model_dump_json() for mechanism in acting))
         twist = self.twists.pop(key, None)
         self.twists[key] = self._twist(acting, roles) if twist is None else twist
-        if len(self.twists) > max(24, most_kept // len(self.situation)):
+        if len(self.twists) > most_kept:
             del self.twists[next(iter(self.twists))]
         return self.twists[key]
 
