@@ -74,7 +74,8 @@ def end_memory(
 ) -> dict[str, Tensor]:
     """Return what actuators remember at the end of the period of the command in a place, from what they did before."""
     if not FOLLOWING.issuperset(memory):
-        return actuator_motion(mechanisms, twists, place, memory).memory
+        followed = following_motion(mechanisms, twists, place, memory)
+        return with_own_memory(mechanisms, followed, twists, place, memory).memory
     moment = _given(twists, place)
     following, supply = _following(mechanisms, moment, place), partial(_supplied, mechanisms, moment)
     if SETTING in memory:
@@ -88,11 +89,6 @@ def _settings_at_end(following: Following, twists: BaseTwists, supply: Supply, m
     moving = ActuatorTwists(memory[TWIST], memory[REFERENCE_TWIST])
     setting, moving = following.settings_at_end(twists, supply, memory[SETTING], moving)
     return {SETTING: setting, TWIST: moving.now, REFERENCE_TWIST: moving.undisturbed}
-
-
-def actuator_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
-    """Move the actuators through the period of the command in a place, after those before it."""
-    return with_own_memory(mechanisms, following_motion(mechanisms, twists, place, memory), twists, place, memory)
 
 
 def following_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
