@@ -1,6 +1,7 @@
 import fcntl
 import gc
 import os
+import pickle
 import shutil
 import signal
 from pathlib import Path
@@ -48,6 +49,25 @@ def unhurried_disks():
     yield
     event.remove(Engine, "connect", hurry)
     os.fsync = fsync
+
+
+@pytest.fixture(scope="session", autouse=True)
+def parsed_once():
+    """Let Hydra parse a file of configuration once as long as it stays what it is: a command reads some ten of them."""
+    from omegaconf import OmegaConf
+
+    parse, parsed = OmegaConf.load, {}
+
+    def load(file):
+        about = os.fstat(file.fileno())
+        version = (file.name, about.st_ino, about.st_mtime_ns, about.st_size)
+        if version not in parsed:
+            parsed[version] = pickle.dumps(parse(file))
+        return pickle.loads(parsed[version])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(OmegaConf, "load", load)
+        yield
 
 
 @pytest.fixture(scope="session")
