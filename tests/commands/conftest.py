@@ -16,11 +16,12 @@ RECORDINGS = {
     "open_loop": ("vehicle=1", "runs=3", "steps=30", "seed=3"),
     "pair": ("vehicle=[1,2]", "runs=6", "steps=20", "seed=4"),
 }
-TRAINING = ("recipe.batch_size=128", "seeds=1", "register=false", "trainer.logger=none")
+TRAINING = ("recipe.batch_size=128", "seeds=1", "register=false", "pictures=false", "trainer.logger=none")
 MODELS = {
     "mlp": ("model=mlp", "model.steps=150"),
     "kinematic": ("model=kinematic", "model.steps=150"),
     "rough": ("model=mlp", "model.steps=12"),
+    "knowing": ("model=mlp", "model.steps=12", "model.situation=[command,previous_command]"),
 }
 
 
@@ -76,6 +77,12 @@ def swarmtwin(workshop, capsys):
         return Answer(status, *capsys.readouterr())
 
     return call
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave out what `evaluate` draws, which test_pictures.py looks at."""
+    monkeypatch.setattr("swarmtwin.commands.evaluate.draw_evaluation", lambda made, output: None)
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ ERRORS = ("one_step", "floor", "model_error")
 
 
 @pytest.fixture
-def evaluate(swarmtwin, workshop):
+def evaluate(swarmtwin, workshop, undrawn):
     """Evaluate a model folder; return metrics.json."""
 
     def call(simulation, recording, *options):
@@ -101,18 +101,11 @@ def test_of_another_recording_everything_counts_against_the_exact_mean(evaluate,
     same_errors(metrics["model_error"], by_hand(predicted, exact))
 
 
-@pytest.fixture
-def knowing(swarmtwin, workshop):
-    """A model that looks at the command before."""
-    training = ("model=mlp", "model.situation=[command,previous_command]", "recipe.epochs=2", "seeds=1")
-    swarmtwin("train", "recording=reference", *training, "register=false", "output=knowing")
-    return "knowing"
-
-
-def test_a_model_s_floor_knows_what_the_model_knows(knowing, evaluate, workshop, robots):
-    metrics = evaluate(knowing, "other_vehicle")
+def test_a_model_s_floor_knows_what_the_model_knows(evaluate, model, workshop, robots):
+    folder = model("knowing")
+    metrics = evaluate(folder, "other_vehicle")
     transitions = transitions_of(robots["mgr"], workshop / "other_vehicle")
-    dynamics = load_dynamics(workshop / knowing)
+    dynamics = load_dynamics(folder)
     predicted = dynamics(Situation.from_transitions(transitions, dynamics.inputs)).detach().numpy().astype(float)
     exact = answers(workshop / "other_vehicle", transitions, "previous_command")
     assert metrics["floor"]["kind"] == "exact"
@@ -134,16 +127,17 @@ def test_two_floors_stand_side_by_side(evaluate, model, workshop, robots):
     assert lags[0] < 0.85 * lags[1]
 
 
-def test_beside_an_old_recording_the_floor_given_the_history_is_averaged_and_said_to_be(knowing, evaluate, workshop):
+def test_beside_an_old_recording_the_floor_given_the_history_is_averaged_and_said_to_be(evaluate, model, workshop):
     """Exact means of older versions are given the true state: a floor must not be that of the state."""
-    recorded = evaluate(knowing, "other_vehicle")["floor"]
+    folder = model("knowing")
+    recorded = evaluate(folder, "other_vehicle")["floor"]
     file = workshop / "other_vehicle" / "truth.parquet"
     table = pd.read_parquet(file)
     state = table.filter(like="earlier_command_").to_numpy() + np.random.default_rng(1).normal(0, [2, 2, 0.04])
     kept = table.drop(columns=table.filter(regex="^(previous|earlier)_command_").columns)
     columns = [f"everything_{name}" for name in ("forward_mm", "left_mm", "turn_rad")]
     kept.join(pd.DataFrame(state, columns=columns)).to_parquet(file)
-    metrics = evaluate(knowing, "other_vehicle")
+    metrics = evaluate(folder, "other_vehicle")
     assert metrics["floor"]["kind"] == "averaged_exact_means"
     assert metrics["floors"]["situation"]["kind"] == "exact"
     lowest, estimate, highest = (
@@ -181,7 +175,7 @@ def rounded(figures):
 
 
 def test_of_the_vehicles_that_taught_nothing_all_runs_count(swarmtwin, evaluate, workshop):
-    training = ("model=kinematic", "recipe.epochs=2", "seeds=1", "register=false")
+    training = ("model=kinematic", "recipe.epochs=2", "seeds=1", "register=false", "pictures=false")
     swarmtwin("train", "recording=pair", "vehicles=1", *training, "output=one")
     metrics = evaluate("one", "pair")
     runs = {vehicle: part["open_loop"]["runs"] for vehicle, part in metrics["vehicles"].items()}
@@ -212,7 +206,7 @@ def test_the_estimated_floor_is_about_the_exact_one_and_not_above_the_model(eval
 
 
 def test_a_registered_model_is_measured_like_its_folder(swarmtwin, evaluate, workshop):
-    swarmtwin("train", "recording=reference", "model=mlp", "recipe.epochs=2", "seeds=1", "output=own")
+    swarmtwin("train", "recording=reference", "model=mlp", "recipe.epochs=2", "seeds=1", "pictures=false", "output=own")
     expected = evaluate("own", "other_vehicle")
     assert evaluate("models:/mgr-dynamics@challenger", "other_vehicle") == expected
     assert evaluate("models:/mgr-dynamics/1", "other_vehicle") == expected
@@ -220,7 +214,7 @@ def test_a_registered_model_is_measured_like_its_folder(swarmtwin, evaluate, wor
 
 def test_who_saw_everything_is_refused(swarmtwin, workshop):
     fractions = "split.fractions={train: 0.9, validation: 0.1, test: 0}"
-    training = ("model=kinematic", "recipe.epochs=1", "seeds=1", "register=false", fractions)
+    training = ("model=kinematic", "recipe.epochs=1", "seeds=1", "register=false", "pictures=false", fractions)
     swarmtwin("train", "recording=reference", *training, "output=greedy")
     answer = swarmtwin("evaluate", "simulation=greedy", "recording=reference", "output=out")
     assert answer.status == 2

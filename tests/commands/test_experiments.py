@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from html.parser import HTMLParser
 
 import mlflow
@@ -9,11 +10,14 @@ import pandas as pd
 import pytest
 import yaml
 
+from swarmtwin.commands.app import run_command
 from swarmtwin.diagnosis.result import Cause, DiagnosisResult, Estimate, Gain, Gains
 from swarmtwin.tracking.store import use_store
 
 RECORDINGS = {"train_vehicle": "reference", "other_vehicle": "other_vehicle", "open_loop": "open_loop"}
 COMPARISON = ("experiment", "name=dynamics", "models=models", *(f"{name}={path}" for name, path in RECORDINGS.items()))
+UNDRAWN = (*COMPARISON, "pictures=false")
+OVERVIEW = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
 
 SAG = DiagnosisResult(
     verdict="explained",
@@ -59,8 +63,9 @@ def plant_validation(folder, position_mm, orientation_deg):
     (folder / "model.yaml").write_text(yaml.safe_dump(description))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_table_holds_the_numbers_of_evaluate(swarmtwin, models, workshop):
-    assert swarmtwin(*COMPARISON, "output=out").status == 0
+    assert swarmtwin(*UNDRAWN, "output=out").status == 0
     table = pd.read_csv(workshop / "out" / "table.csv").set_index(["model", "recording"])
     metrics = json.loads((workshop / "out" / "metrics.json").read_text())
     assert set(table.index) == {(name, recording) for name in models for recording in RECORDINGS}
@@ -94,7 +99,7 @@ def test_the_table_holds_the_numbers_of_evaluate(swarmtwin, models, workshop):
 
 def test_the_best_is_chosen_by_validation_and_never_by_the_test(swarmtwin, models, workshop):
     plant_validation(models["rough"], 1.0, 1.0)
-    answer = swarmtwin(*COMPARISON, "output=out")
+    answer = swarmtwin(*UNDRAWN, "output=out")
     assert answer.status == 0
     table = pd.read_csv(workshop / "out" / "table.csv").query("recording == 'train_vehicle'").set_index("model")
     assert table.one_step_position_mm["rough"] > table.one_step_position_mm["mlp"]
@@ -110,7 +115,7 @@ def test_position_and_orientation_weigh_alike_in_the_choice(swarmtwin, models, w
     plant_validation(models["kinematic"], 3.0, 4.4)
     plant_validation(models["mlp"], 3.2, 4.0)  # 7 % more position error, but 9 % less orientation error
     plant_validation(models["rough"], 9.0, 9.0)
-    assert swarmtwin(*COMPARISON, "output=out").status == 0
+    assert swarmtwin(*UNDRAWN, "output=out").status == 0
     assert (workshop / "out" / "best" / "model.yaml").read_bytes() == (models["mlp"] / "model.yaml").read_bytes()
 
 
@@ -131,6 +136,21 @@ def test_what_is_missing_is_one_line(swarmtwin, models, workshop, options, messa
     assert not (workshop / "out").exists()
 
 
+@pytest.fixture(scope="module")
+def compared(library, tmp_path_factory):
+    """A folder to copy: artifacts/ with a recording that was prepared and models that were compared, and pictures."""
+    folder = tmp_path_factory.mktemp("compared")
+    comparison = ["name=dynamics", f"models={library}/models"]
+    comparison += [f"{name}={library / path}" for name, path in RECORDINGS.items()]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.delenv("MLFLOW_TRACKING_URI", raising=False)
+        shutil.copy(library / "empty.db", "mlflow.db")
+        prepared = run_command("prepare", [f"recording={library}/reference", "output=artifacts/transitions/mgr"])
+        assert prepared == run_command("experiment", [*comparison, "output=artifacts/comparison/mgr"]) == 0
+    return folder / "artifacts"
+
+
 class Page(HTMLParser):
     """What a page would load, and what it says."""
 
@@ -146,21 +166,19 @@ class Page(HTMLParser):
         self.words += data.split()
 
 
-def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swarmtwin, models, workshop, crown):
-    overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
-    answer = swarmtwin(*overview)
+def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swarmtwin, compared, workshop, crown):
+    answer = swarmtwin(*OVERVIEW)
     assert answer.status == 2
     assert answer.error == (
         "swarmtwin experiment: artifacts/comparison/mgr holds no comparison of models: run `dvc repro` first\n"
     )
-    swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
-    swarmtwin(*COMPARISON, "output=artifacts/comparison/mgr")
-    assert swarmtwin(*overview).status == 0
+    shutil.copytree(compared, workshop / "artifacts")
+    assert swarmtwin(*OVERVIEW).status == 0
     assert "No champion is registered yet." in " ".join(Page((workshop / "overview/overview.html").read_text()).words)
 
     crown(workshop / "artifacts/comparison/mgr/best")
     crown(workshop / "artifacts/comparison/mgr/best", "mgr-policy", task="obstacle")
-    answer = swarmtwin(*overview)
+    answer = swarmtwin(*OVERVIEW)
     assert answer.status == 0
     text = (workshop / "overview" / "overview.html").read_text()
     page = Page(text)
@@ -178,11 +196,11 @@ def test_the_overview_is_one_page_that_loads_nothing_and_shows_the_champion(swar
         assert f"{row.one_step_position_mm:.2f} ± {row.one_step_position_sd_mm:.2f}" in answer.shown
 
 
-def test_the_overview_marks_the_best_of_two_models_of_one_kind(swarmtwin, models, workshop):
+def test_the_overview_marks_the_best_of_two_models_of_one_kind(swarmtwin, models, compared, workshop):
     plant_validation(models["rough"], 1.0, 1.0)
-    swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
-    swarmtwin(*COMPARISON, "output=artifacts/comparison/mgr")
-    answer = swarmtwin("experiment", "name=overview", "robots=[mgr]", "output=overview")
+    shutil.copytree(compared / "transitions", workshop / "artifacts" / "transitions")
+    swarmtwin(*UNDRAWN, "output=artifacts/comparison/mgr")
+    answer = swarmtwin(*OVERVIEW)
     assert "rough *" in answer.shown
     assert "mlp *" not in answer.shown
     text = (workshop / "overview" / "overview.html").read_text()
@@ -190,17 +208,15 @@ def test_the_overview_marks_the_best_of_two_models_of_one_kind(swarmtwin, models
     assert not re.search(r'<tr class="marked"><td>mlp', text)
 
 
-def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
-    overview = ("experiment", "name=overview", "robots=[mgr]", "output=overview")
-    swarmtwin("prepare", "recording=reference", "output=artifacts/transitions/mgr")
-    swarmtwin(*COMPARISON, "output=artifacts/comparison/mgr")
+def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, compared, workshop):
+    shutil.copytree(compared, workshop / "artifacts")
     folder = workshop / "artifacts" / "diagnosis" / "mgr"
     (folder / "figures").mkdir(parents=True)
     picture = next((workshop / "artifacts").rglob("*.png")).read_bytes()
     for name in ("time", "place"):
         (folder / "figures" / f"{name}.png").write_bytes(picture)
     (folder / "diagnosis.json").write_text(SAG.model_dump_json())
-    answer = swarmtwin(*overview)
+    answer = swarmtwin(*OVERVIEW)
     assert answer.status == 0
     said = "because the actuators lose 30 % of their speed by the session's end – charge or exchange the battery"
     shown = " ".join(answer.shown.split())
@@ -216,12 +232,12 @@ def test_the_overview_tells_what_a_diagnosis_found(swarmtwin, models, workshop):
 
     prepared = workshop / "artifacts" / "transitions" / "mgr" / "preparation.json"
     prepared.write_text(json.dumps(json.loads(prepared.read_text()) | {"warnings": ["is it clipped?", "x < y"]}))
-    answer = swarmtwin(*overview, "overwrite=true")
+    answer = swarmtwin(*OVERVIEW, "overwrite=true")
     assert "warning: mgr: is it clipped?\nwarning: mgr: x < y\n" in answer.shown
     text = (workshop / "overview" / "overview.html").read_text()
     assert "<li>is it clipped?</li><li>x &lt; y</li>" in text
 
     (folder / "diagnosis.json").write_text("{")
-    answer = swarmtwin(*overview, "overwrite=true")
+    answer = swarmtwin(*OVERVIEW, "overwrite=true")
     assert answer.status == 2
     assert "artifacts/diagnosis/mgr/diagnosis.json is damaged" in answer.error
