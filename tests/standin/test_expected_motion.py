@@ -39,6 +39,20 @@ def driven(request, robots):
     return drive_session(StandInSession(robot, ("1",), 60, 25, 9, parse_effects(entries, robot, 1)))
 
 
+@pytest.fixture(scope="module")
+def given_state(driven):
+    """Means (R · T, 3) given the true state."""
+    return mean_given_state(driven)[:, :, 0].reshape(-1, 3)
+
+
+@pytest.fixture(scope="module")
+def levels(driven, given_state):
+    """Means (levels, R · T, 3) given the situation, one command before, two before, and the true state; what came."""
+    means = [mean[:, :, 0].reshape(-1, 3) for mean in means_given_commands(driven, 2)]
+    measured = displacement_between(driven.pose[:, :-1, 0], driven.pose[:, 1:, 0]).reshape(-1, 3)
+    return np.stack([*means, given_state]), measured
+
+
 def repeated_measurements(driven, rows, rng):
     """Return displacements (rows, REPEATS, 3) measured when rows are repeated from their true states."""
     session = driven.session
@@ -60,11 +74,11 @@ def repeated_measurements(driven, rows, rng):
     return displacement_between(measured(state), measured(after))
 
 
-def test_the_mean_given_everything_is_that_of_repeated_measurements(driven):
+def test_the_mean_given_everything_is_that_of_repeated_measurements(driven, given_state):
     rng = np.random.default_rng(2)
     rows = np.arange(7, 1500, 25)
     measured = repeated_measurements(driven, rows, rng)
-    expected = mean_given_state(driven)[:, :, 0].reshape(-1, 3)[rows]
+    expected = given_state[rows]
     standard_error = measured.std(axis=1) / np.sqrt(REPEATS)
     own_error = np.array([0.05, 0.05, 0.0005])
     off = (measured.mean(axis=1) - expected) / np.hypot(standard_error, own_error)
@@ -73,24 +87,16 @@ def test_the_mean_given_everything_is_that_of_repeated_measurements(driven):
     assert (np.abs(off.mean(axis=0)) < 3.5 / np.sqrt(len(rows))).all()
 
 
-def test_what_is_measured_scatters_evenly_about_the_mean_given_the_situation(driven):
+def test_what_is_measured_scatters_evenly_about_the_mean_given_the_situation(driven, levels):
     """In every part of the command space, and in every part of the session, residuals average to nothing."""
-    expected = mean_given_situation(driven)[:, :, 0].reshape(-1, 3)
-    residual = displacement_between(driven.pose[:, :-1, 0], driven.pose[:, 1:, 0]).reshape(-1, 3) - expected
+    means, measured = levels
+    residual = measured - means[0]
     parts = [driven.command[:, :, 0, column].ravel() for column in range(driven.command.shape[-1])]
     parts.append(driven.time_s[:, :-1].ravel())
     for values in parts:
         for part in np.array_split(np.argsort(values), 6):
             off = residual[part].mean(axis=0) / (residual[part].std(axis=0) / np.sqrt(len(part)))
             assert np.abs(off).max() < 4
-
-
-@pytest.fixture(scope="module")
-def levels(driven):
-    """Means (levels, R · T, 3) given the situation, one command before, two before, and the true state; what came."""
-    means = [*means_given_commands(driven, 2), mean_given_state(driven)]
-    measured = displacement_between(driven.pose[:, :-1, 0], driven.pose[:, 1:, 0]).reshape(-1, 3)
-    return np.stack([mean[:, :, 0].reshape(-1, 3) for mean in means]), measured
 
 
 def test_what_is_measured_scatters_evenly_about_the_means_given_commands(driven, levels):
@@ -151,7 +157,9 @@ def test_the_mgr_forgets_all_but_the_command_before(robots):
     assert (off < [0.06, 0.06, 0.002]).all()
 
 
-def test_a_run_s_first_rows_are_known_to_come_from_rest(robots):
+def test_a_run_s_first_rows_are_known_to_come_from_rest(robots, monkeypatch):
+    """Whatever states the bank holds: none is drawn for them."""
+    monkeypatch.setattr(Physics, "bank_rows", 4096)
     driven = drive_session(StandInSession(robots["mgr"], ("1",), 60, 4, 9))
     for mean in means_given_commands(driven, 2)[1:]:
         off = np.sqrt(((mean - mean_given_state(driven))[:, 0] ** 2).mean(axis=(0, 1)))
