@@ -1,9 +1,11 @@
-"""`swarmtwin` for tests that call it often: each call is a fork of a process that has imported its packages."""
+"""Processes that need not import packages for seconds: forks of one that has imported them."""
 
 import contextlib
+import os
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +22,10 @@ main()
 
 @contextlib.contextmanager
 def preloaded_program(program: Path, source: Path, packages: tuple[str, ...] = preloaded.PACKAGES) -> Iterator[None]:
-    """Write an executable `program` that runs the swarmtwin in the folder `source`, as long as the block lasts."""
+    """Write an executable `program` that runs the swarmtwin in the folder `source`, as long as the block lasts.
+
+    For tests that call it often: each call is a fork of a process that has imported its packages.
+    """
     address = program.with_name("preloaded")
     program.write_text(PROGRAM.format(python=sys.executable, address=str(address), source=str(source)))
     program.chmod(0o755)
@@ -33,3 +38,26 @@ def preloaded_program(program: Path, source: Path, packages: tuple[str, ...] = p
             yield
         finally:
             server.terminate()
+
+
+def run_forked(script: str) -> int:
+    """Run Python code in a fork of this process; return its exit status, below 0 where a signal ended it.
+
+    Of swarmtwin nothing is imported in it before: what modules here remember the fork does not know.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if process := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    status = 1
+    try:
+        for name in [name for name in sys.modules if name.partition(".")[0] == "swarmtwin"]:
+            del sys.modules[name]
+        exec(compile(script, "script", "exec"), {})
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)

@@ -1,6 +1,6 @@
 """What code does, as text: equal where only comments, docstrings and layout differ, and different everywhere else."""
 
-import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -69,5 +69,4 @@ def test_nothing_in_the_package_asks_for_docstrings():
     for file in SOURCE.rglob("*.py"):
         text = bare(file.read_text())
         assert bare(text) == text
-        names = {getattr(node, "attr", getattr(node, "id", "")) for node in ast.walk(ast.parse(text))}
-        assert not names & {"__doc__", "getdoc", "getsource", "cleandoc"}
+        assert not re.search(r"\b(__doc__|getdoc|getsource|cleandoc)\b", text), file

@@ -2,7 +2,6 @@ import errno
 import os
 import shutil
 import subprocess
-import sys
 import time
 
 import mlflow
@@ -10,6 +9,7 @@ import pytest
 import yaml
 from mlflow.exceptions import MlflowException
 
+from preloaded import run_forked
 from swarmtwin.errors import UserError
 from swarmtwin.tracking.runs import parent_run, tracked_run
 from swarmtwin.tracking.store import use_store
@@ -49,7 +49,7 @@ def test_runs_of_a_sweep_have_one_parent_also_from_other_processes(workplace):
     with parent_run("dynamics", "model=crnet,lstm", "sweep") as parent:
         with tracked_run("dynamics", "here", CONFIG):
             pass
-        subprocess.run([sys.executable, "-c", script], check=True)
+        assert run_forked(script) == 0
     with tracked_run("dynamics", "afterwards", CONFIG):
         pass
     runs = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
@@ -148,7 +148,7 @@ def test_runs_whose_process_was_killed_are_closed_by_the_next(workplace):
     script = "import os; from swarmtwin.tracking.runs import parent_run, tracked_run\n"
     script += "with parent_run('dynamics', 'sweep', 'sweep'), tracked_run('dynamics', 'killed', {'output': 'out'}):"
     script += " os.kill(os.getpid(), 9)"
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
+    assert run_forked(script) == -9
 
     def statuses():
         found = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
@@ -169,7 +169,7 @@ def test_a_store_that_was_killed_while_it_was_made_is_made_anew(bare_workplace):
     script += "    made.append(statement)\n"
     script += "    if sum('CREATE TABLE' in one for one in made) == 20: os.kill(os.getpid(), 9)\n"
     script += "from swarmtwin.tracking.store import use_store\nuse_store()"
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == -9
+    assert run_forked(script) == -9
     with tracked_run("dynamics", "again", {}):
         pass
     assert sorted(path.name for path in bare_workplace.iterdir()) == [".mlflow.db.lock.partial", "mlflow.db", "mlruns"]
