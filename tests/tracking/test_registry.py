@@ -282,8 +282,8 @@ def train_nothing(number, workplace):
 
 
 def test_writers_on_a_new_database_all_succeed(workplace):
-    _at_once([FORK.Process(target=train_nothing, args=(number, workplace)) for number in range(8)])
-    assert sorted(version.number for version in registry.versions(NAME)) == list(range(1, 9))
+    _at_once([FORK.Process(target=train_nothing, args=(number, workplace)) for number in range(16)])
+    assert sorted(version.number for version in registry.versions(NAME)) == list(range(1, 17))
 
 
 def _at_once(processes):

@@ -44,7 +44,7 @@ def test_gain_change_is_another_wheel_and_multiplies_the_way(mgr):
 
 
 def test_command_delay_shifts_the_turn_behind_its_command(mgr):
-    plan = {"runs": 30, "steps": 20}
+    plan = {"runs": 15, "steps": 20}
     own, later = shares(drive(mgr, **plan))
     late_own, late_later = shares(drive(mgr, {"name": "command_delay", "delay_s": 0.15}, **plan))
     shift = late_later / (late_own + late_later) - later / (own + later)

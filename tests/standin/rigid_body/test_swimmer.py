@@ -16,7 +16,7 @@ def mur(robots):
     return robots["mur"]
 
 
-def steady(robot, command, *effects, runs=12, steps=14, settled=4):
+def steady(robot, command, *effects, runs=6, steps=14, settled=4):
     """Return the mean displacement (3,) in the periods before which a command was held for `settled` ones."""
     driven = drive(robot, CALM, *effects, runs=runs, steps=steps, drive=np.array([command], float))
     as_told = np.cumprod((driven.command[:, :, 0] == command).all(axis=-1), axis=1)[:, settled:].astype(bool)
@@ -87,7 +87,7 @@ def test_delay_and_lag_bring_the_turn_later(mur):
     """Turns follow the fin's mean angle: the share of them that falls into the next period grows."""
 
     def later_share(*effects):
-        driven = drive(mur, CALM, *effects, runs=20, steps=20)
+        driven = drive(mur, CALM, *effects, runs=10, steps=20)
         angle = driven.command[:, :, 0, 0]
         design = np.stack([angle[:, 2:], angle[:, 1:-1], angle[:, :-2]], axis=-1).reshape(-1, 3)
         weight = np.linalg.lstsq(design, true_displacements(driven)[:, 2:, 0, 2].ravel())[0]
