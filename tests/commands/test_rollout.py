@@ -22,6 +22,12 @@ def seeker(workshop, robots):
     return save_seeker(workshop / "seeker", source="kinematic", digest=digest)
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the picture out."""
+    monkeypatch.setattr("swarmtwin.commands.rollout.draw_rollout", lambda made, output: None)
+
+
 @pytest.mark.usefixtures("seeker")
 def test_both_worlds_start_alike_and_are_told_side_by_side(swarmtwin, workshop):
     answer = swarmtwin(*ROLLOUT, "video=true", "viewer=true", "speed=16", "output=out")
@@ -45,7 +51,7 @@ def test_both_worlds_start_alike_and_are_told_side_by_side(swarmtwin, workshop):
     assert "reward on stand-ins against simulation:" in answer.shown
 
 
-@pytest.mark.usefixtures("seeker")
+@pytest.mark.usefixtures("seeker", "undrawn")
 def test_the_same_seed_gives_the_same_rollouts_and_another_seed_others(swarmtwin, workshop):
     for output, seed in (("one", 3), ("again", 3), ("other", 4)):
         assert swarmtwin(*ROLLOUT, f"seed={seed}", f"output={output}").status == 0
@@ -54,7 +60,7 @@ def test_the_same_seed_gives_the_same_rollouts_and_another_seed_others(swarmtwin
     assert not one.equals(other)
 
 
-@pytest.mark.usefixtures("seeker")
+@pytest.mark.usefixtures("seeker", "undrawn")
 def test_an_effect_changes_the_stand_ins_and_not_the_simulation(swarmtwin, workshop):
     assert swarmtwin(*ROLLOUT, "output=clean").status == 0
     assert swarmtwin(*ROLLOUT, "effects=[{name: gain_change, gain: 0.6}]", "output=weak").status == 0
@@ -63,7 +69,7 @@ def test_an_effect_changes_the_stand_ins_and_not_the_simulation(swarmtwin, works
     assert weak["stand_in"]["reward"]["mean"] < clean["stand_in"]["reward"]["mean"]
 
 
-@pytest.mark.usefixtures("seeker")
+@pytest.mark.usefixtures("seeker", "undrawn")
 def test_what_is_randomised_changes_the_simulation_and_not_the_stand_ins(swarmtwin, workshop):
     weak = "randomisation={gain_change: {gain: [0.3, 0.5]}}"
     for name, options in (("usual", []), ("weak", [weak, "draws=4", "sampled=false"])):

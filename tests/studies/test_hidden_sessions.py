@@ -1,6 +1,7 @@
 """The study's sessions: the same each time, effects as large as asked for, and nothing hidden in clean ones."""
 
 import dataclasses
+import functools
 import itertools
 import math
 from dataclasses import replace
@@ -18,11 +19,17 @@ from swarmtwin.studies import stand_in_families
 from swarmtwin.studies.hidden_effects.cases import Case, cases
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
-from swarmtwin.studies.hidden_effects.error_rise import size_that_raises
+from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_that_raises
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 from swarmtwin.studies.hidden_effects.sessions import made_effects, record_session, reference_session, sized_entry
 
 SMALL = {"runs": 20, "steps": 20, "reference_runs": 30}
+
+
+@pytest.fixture
+def few_trees(monkeypatch):
+    """Let the size of what hides be found with few trees: roughly as large as is asked for, in a tenth of the time."""
+    monkeypatch.setattr(PlainSimulation, "learn", functools.partial(PlainSimulation.learn, rounds=10))
 
 
 def same_recording(one, other):
@@ -65,6 +72,7 @@ def test_effects_that_hide_together_differ_and_a_delay_is_never_beside_a_lag():
         assert not {"command_delay", "actuator_lag"} <= set(case.names)
 
 
+@pytest.mark.usefixtures("few_trees")
 @pytest.mark.parametrize("family", ["formulas", "unruly"])
 def test_a_case_is_recorded_the_same_each_time(family):
     case = Case(family=family, kind="one", robot="mgr", names=["gain_change"], rises_percent=[20.0], seed=3, **SMALL)
@@ -100,6 +108,7 @@ def test_an_effect_raises_the_error_by_about_what_is_asked_for(name, wanted):
     assert set(truth.causes) == ({name} if kind == "one" else set())
 
 
+@pytest.mark.usefixtures("few_trees")
 def test_the_twin_differs_by_the_effect_alone():
     case = Case(family="unruly", kind="one", robot="mgr", names=["camera_scale"], rises_percent=[30.0], seed=3, **SMALL)
     truth = record_session(case).truth
@@ -110,6 +119,7 @@ def test_the_twin_differs_by_the_effect_alone():
     assert truth.twin.footage.session.effects == ()
 
 
+@pytest.mark.usefixtures("few_trees")
 def test_the_spread_of_a_clock_that_is_never_steady_is_told_as_a_recording_shows_it():
     case = Case(family="unruly", kind="one", robot="mgr", names=["timing_jitter"], rises_percent=[20.0], seed=3)
     truth = record_session(case).truth
@@ -239,6 +249,7 @@ def test_an_engine_that_is_not_there_is_refused_with_the_remedy(monkeypatch):
         cases("formulas", "pair", 1, 1)
 
 
+@pytest.mark.usefixtures("few_trees")
 def test_hidden_effects_are_those_of_record(robots):
     case = Case(family="formulas", kind="one", robot="mur", names=["backlash"], rises_percent=[20.0], seed=6, **SMALL)
     truth = record_session(case).truth
