@@ -70,6 +70,26 @@ def parsed_once():
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def coarse_pictures():
+    """Let figures be saved with few pixels and drawn once instead of being laid out first, which takes most of it."""
+    import numpy as np
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    def draw(figure, file, **options):
+        figure.set_layout_engine("none")
+        figure.set_dpi(20)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        Image.fromarray(np.asarray(canvas.buffer_rgba())).save(file, "png")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", draw)
+        yield
+
+
 @pytest.fixture(scope="session")
 def made_once(tmp_path_factory):
     """Make a folder that all processes of a test run read from: `make` fills it in the first that asks for it."""

@@ -15,9 +15,16 @@ PROGRAM = """#!{python} -IS
 import os, sys
 sys.path.insert(0, {source!r})
 os.environ["SWARMTWIN_PRELOADED"] = {address!r}
+{call}
+"""
+SWARMTWIN = """
 from swarmtwin.commands import main
 main()
 """
+DVC_PACKAGES = (
+    *("dvc.cli.parser", "dvc.repo.reproduce", "dvc.repo.status", "dvc.repo.metrics.show", "dvc.repo.experiments.run"),
+    *("dvc.repo.index", "dvc.stage.run", "dvc.output", "dvc.api", "dvc_data.index", "dulwich.repo"),
+)
 
 
 @contextlib.contextmanager
@@ -26,11 +33,30 @@ def preloaded_program(program: Path, source: Path, packages: tuple[str, ...] = p
 
     For tests that call it often: each call is a fork of a process that has imported its packages.
     """
-    address = program.with_name("preloaded")
-    program.write_text(PROGRAM.format(python=sys.executable, address=str(address), source=str(source)))
+    with _served(program, source, packages, f"p.run({str(_address(program))!r})", SWARMTWIN):
+        yield
+
+
+@contextlib.contextmanager
+def preloaded_dvc(program: Path, source: Path) -> Iterator[None]:
+    """Write an executable `program` that runs DVC likewise."""
+    serve = f"p.serve({str(_address(program))!r}); import sys, dvc.cli; sys.exit(dvc.cli.main(sys.argv[1:]))"
+    ask = "from swarmtwin.commands.preloaded import ask; sys.exit(ask(sys.argv[1:]))"
+    with _served(program, source, DVC_PACKAGES, serve, ask):
+        yield
+
+
+def _address(program: Path) -> Path:
+    return program.with_name(f"{program.name}.preloaded")
+
+
+@contextlib.contextmanager
+def _served(program: Path, source: Path, packages: tuple[str, ...], serve: str, call: str) -> Iterator[None]:
+    address = _address(program)
+    program.write_text(PROGRAM.format(python=sys.executable, address=str(address), source=str(source), call=call))
     program.chmod(0o755)
-    serve = f"from swarmtwin.commands import preloaded as p; p.PACKAGES = {packages!r}; p.run({str(address)!r})"
-    with subprocess.Popen([sys.executable, "-c", serve]) as server:
+    server_code = f"from swarmtwin.commands import preloaded as p; p.PACKAGES = {packages!r}; {serve}"
+    with subprocess.Popen([sys.executable, "-c", server_code]) as server:
         try:
             while not address.exists():
                 assert server.poll() is None, "the process with the packages has ended"

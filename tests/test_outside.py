@@ -32,13 +32,14 @@ record robot=cart vehicle=9 runs=40 steps=20 seed=2 output=worn
 import robot=cart source=logbook path=. run_s=5 output=imported
 prepare robot=cart recording=imported output=prepared
 train robot=cart model=two_layers recording=reference recipe.batch_size=64 seeds=2 register=false output=model
-train robot=cart model=kinematic recording=reference model.steps=300 {alone} output=kinematic
+train robot=cart model=kinematic recording=reference model.steps=150 {alone} output=kinematic
 evaluate robot=cart simulation=model recording=worn output=evaluated
 generate robot=cart generator=small_gan recording=reference count=200 output=synthetic
 learn robot=cart task=visit policy=patient_td3 simulation=model evaluate_every=30 scenes=20 {alone} output=policy
 rollout robot=cart policy=policy count=10 video=false output=rollouts
-diagnose robot=cart reference=reference measured=worn register=false pictures=false output=diagnosis
+diagnose robot=cart reference=reference measured=worn {quick} register=false pictures=false output=diagnosis
 """.replace("{alone}", "seeds=1 register=false").replace(" scenes=20", " scenes=20 final_scenes=20")
+WAY = WAY.replace("{quick}", "diagnosis.reference.folds=3 diagnosis.search.most_causes=1")
 
 
 @pytest.fixture(scope="module")

@@ -22,6 +22,7 @@ from swarmtwin.transitions.storage import write_transitions
 from tiny_policies import robot_named
 
 SAG = "effects=[{name: battery_sag, loss: 0.35}]"
+QUICK = ("diagnosis.reference.folds=3", "diagnosis.search.most_causes=2")
 
 
 def call(*arguments, expected=0):
@@ -40,9 +41,9 @@ def drives(tmp_path_factory):
         patch.chdir(folder)
         patch.delenv("MLFLOW_TRACKING_URI", raising=False)
         patch.setattr(Physics, "bank_rows", 4096)
-        call(*record, "runs=60", "seed=3", f"output={folder / 'reference'}")
-        call(*record, "runs=60", "seed=4", SAG, f"output={folder / 'sag'}")
-        call(*record, "runs=60", "seed=6", f"output={folder / 'clean'}")
+        call(*record, "runs=40", "seed=3", f"output={folder / 'reference'}")
+        call(*record, "runs=40", "seed=4", SAG, f"output={folder / 'sag'}")
+        call(*record, "runs=40", "seed=6", f"output={folder / 'clean'}")
         call(*record, "runs=5", "seed=5", f"output={folder / 'short'}")
         yield folder
 
@@ -51,7 +52,8 @@ def drives(tmp_path_factory):
 def diagnosed(drives):
     """The diagnosis of the ageing session against the clean recording."""
     output = drives / "diagnosis"
-    call("diagnose", "robot=mgr", f"reference={drives / 'reference'}", f"measured={drives / 'sag'}", f"output={output}")
+    given = (f"reference={drives / 'reference'}", f"measured={drives / 'sag'}")
+    call("diagnose", "robot=mgr", *given, *QUICK, f"output={output}")
     return output
 
 
@@ -130,7 +132,7 @@ def test_what_held_out_runs_do_not_confirm_is_neither_named_nor_kept_nor_registe
         shutil.copy(file, mixed / "runs")
     known, output = versions("mgr-dynamics"), tmp_path / "diagnosis"
     given = (f"reference={drives / 'reference'}", f"measured={mixed}")
-    call("diagnose", "robot=mgr", *given, "pictures=false", f"output={output}")
+    call("diagnose", "robot=mgr", *given, *QUICK, "pictures=false", f"output={output}")
     diagnosis = json.loads((output / "diagnosis.json").read_text())
     assert max(diagnosis["gain"][name]["low"] for name in ("position_mm", "orientation_deg")) < 0
     assert (diagnosis["verdict"], diagnosis["causes"]) == ("unexplained", [])
@@ -170,6 +172,7 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
         f"simulation={model}",
         f"measured={drives / 'sag'}",
         f"output={output}",
+        *QUICK,
         "register=false",
         "pictures=false",
     )
@@ -192,6 +195,7 @@ def test_the_answer_book_is_not_read_and_the_same_seed_gives_the_same_answer(dri
         f"reference={tmp_path / 'reference'}",
         f"measured={tmp_path / 'sag'}",
         f"output={output}",
+        *QUICK,
         "register=false",
         "pictures=false",
     )

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from overhead import Scene
 from swarmtwin.deploy.tracking.calibration import Calibration, Lens
@@ -30,7 +31,7 @@ def with_optics(optics, size, arena, mirrored=False):
     )
     return Calibration(
         lens=lens,
-        rotation_rad=tuple(cv2.Rodrigues(optics.rotation)[0].ravel()),
+        rotation_rad=tuple(Rotation.from_matrix(optics.rotation).as_rotvec()),  # OpenCV's own is rough near a half turn
         translation_mm=tuple(translation),
         mirrored=mirrored,
         arena_mm=arena,

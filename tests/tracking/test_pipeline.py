@@ -18,7 +18,7 @@ import yaml
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf
 
-from preloaded import preloaded_program
+from preloaded import preloaded_dvc, preloaded_program
 from swarmtwin.commands.app import run_command
 from swarmtwin.standin.physics import Physics
 from swarmtwin.tracking.bare_code import digest
@@ -235,11 +235,12 @@ def repository(tmp_path_factory):
             output = f"output={folder}/data/{robot}/{recording}"
             assert run_command("record", [*options, output]) == 0
     call(folder, "git", "init", "--quiet")
-    dvc(folder, "init", "--quiet")
-    shutil.copy(REPOSITORY / ".dvcignore", folder)
     (folder / ".gitignore").write_text("/.venv/\n/mlflow.db*\n/mlruns/\n*.partial\n__pycache__/\n")
     (folder / ".venv" / "bin").mkdir(parents=True)
-    with preloaded_program(folder / ".venv" / "bin" / "swarmtwin", folder / "src"):
+    programs, source = folder / ".venv" / "bin", folder / "src"
+    with preloaded_program(programs / "swarmtwin", source), preloaded_dvc(programs / "dvc", source):
+        dvc(folder, "init", "--quiet")
+        shutil.copy(REPOSITORY / ".dvcignore", folder)
         dvc(folder, "repro", "--quiet", *DRAWN)
         yield folder
 
@@ -259,7 +260,7 @@ def call(folder, *command):
 
 
 def dvc(folder, *arguments):
-    return call(folder, sys.executable, "-m", "dvc", *arguments)
+    return call(folder, folder / ".venv" / "bin" / "dvc", *arguments)
 
 
 def reran(folder, *targets):

@@ -215,12 +215,10 @@ class Reference:
             raise UserError(
                 f"the measured recording is of robot {measured.robot.name!r}, the simulation of {robot.name!r}"
             )
-        transitions, _ = from_recording(measured)
-        covered = self.covers(transitions.command)
-        conditions = self.conditions_for(transitions)
         settings = self.settings.reference
-        require_enough(MeasuredSession.of(transitions, conditions), settings, "measured")
-        session = MeasuredSession.of(transitions.where(covered), conditions, measured.sent)
+        transitions = enough_measured(measured, settings)
+        covered = self.covers(transitions.command)
+        session = MeasuredSession.of(transitions.where(covered), self.conditions_for(transitions), measured.sent)
         require_enough(session, settings, "measured", ", as far as the reference covers its commands,")
         return ComparableSession(session, transitions, int((~covered).sum()))
 
@@ -282,6 +280,17 @@ def _clearance_mm(session: MeasuredSession, base: BaseDynamics, doubted: float =
     if not (len(facing_mm) and len(along_mm)):
         return None
     return float(np.quantile(facing_mm, doubted)), float(np.quantile(along_mm, doubted))
+
+
+def enough_measured(measured: Recording, settings: ReferenceSettings) -> Transitions:
+    """Return the transitions of a measured recording.
+
+    Raises:
+        UserError: too few runs or transitions, or constant commands, whatever they are compared with.
+    """
+    transitions, _ = from_recording(measured)
+    require_enough(MeasuredSession.of(transitions, conditions_of(transitions)), settings, "measured")
+    return transitions
 
 
 def require_enough(session: MeasuredSession, settings: ReferenceSettings, what: str, remark: str = "") -> None:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.reference import Reference, enough_measured
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.model_folder import load_evidence
 from swarmtwin.dynamics.predictor import NetworkDynamics
@@ -40,8 +40,10 @@ def reference_for(
         seed: of what is learned here.
 
     Raises:
-        UserError: the simulation is an extended one, or has no evidence, or measured runs were learned from.
+        UserError: the simulation is an extended one, or has no evidence, or measured runs were learned from, or nothing
+            can be concluded from what was measured.
     """
+    enough_measured(measured, settings.reference)
     if folder is None:
         assert reference is not None
         learned = tuple(track.digest() for track in reference.tracks)
