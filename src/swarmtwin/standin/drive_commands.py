@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from swarmtwin.geometry import compose
 from swarmtwin.robot import Robot
@@ -109,6 +108,8 @@ class Operator:
 
     def _smoothed(self, share: np.ndarray) -> np.ndarray:
         """Return shares (R, T, V, m), still uniform over [0, 1], that change gradually from period to period."""
+        from scipy.special import ndtr, ndtri  # a third of the time that a robot of a fleet takes to start
+
         normal = ndtri(np.clip(share, 1e-9, 1.0 - 1e-9))
         kept = np.exp(-1.0 / self.smooth_periods)
         for step in range(1, normal.shape[1]):
