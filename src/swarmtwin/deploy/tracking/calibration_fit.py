@@ -38,6 +38,8 @@ class FitSettings:
         camera_height_share: standard error of a camera's height that was measured by hand.
         camera_above_mm: standard error, along x and y, of the point below the lens that was found by a plumb line.
         largest_error_mm: where a marker on the floor seems to lie farther from where it should, the fit is refused.
+        focal_widths: focal lengths, in widths of the picture, from which an unknown lens is searched for.
+        rough_steps: of the search from each of them, before the best one is followed to its end.
     """
 
     corner_px: float = 0.06
@@ -51,6 +53,8 @@ class FitSettings:
     camera_height_share: float = 0.005
     camera_above_mm: float = 5.0
     largest_error_mm: float = 2.0
+    focal_widths: tuple[float, ...] = (0.7, 1.3, 2.6)
+    rough_steps: int = 8
 
 
 class MeasuredByHand(NamedTuple):
@@ -98,10 +102,7 @@ def fit_calibration(
     if lens is not None and tuple(lens.image_size) != seen.size:
         raise UserError(f"the lens was measured on pictures of {lens.image_size}, and these are {seen.size}")
     problem = _Problem(seen, robot, layout, lens, by_hand or MeasuredByHand(), settings)
-    best = min(
-        (problem.solve(focal) for focal in (0.7, 1.3, 2.6)),
-        key=lambda solution: float(solution.cost),
-    )
+    best = problem.solve()
     number, off_mm = problem.misplaced(best)
     if off_mm > settings.largest_error_mm:
         raise UserError(
@@ -157,20 +158,28 @@ class _Problem:
         self._floor_mm = np.column_stack([floor, np.zeros(len(floor))])
         self._mm_per_px = layout.size_mm / side_px(seen.floor_px[:4])
 
-    def solve(self, focal_widths: float) -> OptimizeResult:
-        """Search from a focal length, in widths of the picture, and from the pose that belongs to it."""
+    def solve(self) -> OptimizeResult:
+        """Search from several focal lengths for some steps, and from the best place so found to the end."""
+        if self._lens is not None:
+            return self._search(self._start(self._lens.matrix))
         width, height = self._seen.size
-        middle = np.array([width - 1, height - 1]) / 2
-        focal = focal_widths * width
-        matrix = (
-            np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]) if not self._lens else self._lens.matrix
-        )
+        rough = []
+        for focal in np.array(self._settings.focal_widths) * width:
+            matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+            start = np.concatenate([self._start(matrix), [np.log(focal), *matrix[:2, 2], 0.0]])
+            rough.append(
+                least_squares(self._residuals, start, x_scale=self._scale(), max_nfev=self._settings.rough_steps)
+            )
+        return self._search(min(rough, key=lambda solution: float(solution.cost)).x)
+
+    def _start(self, matrix: np.ndarray) -> np.ndarray:
+        """Return the pose that belongs to a camera matrix, with nothing displaced."""
         bends = np.array(self._lens.distortion) if self._lens else np.zeros(5)
         _, turned, moved = cv2.solvePnP(self._floor_mm, self._seen.floor_px, matrix, bends, flags=cv2.SOLVEPNP_IPPE)
-        start = np.concatenate([np.zeros(10), turned.ravel(), moved.ravel()])
-        if self._lens is None:
-            start = np.concatenate([start, [np.log(focal), *middle, 0.0]])
-        return least_squares(self._residuals, start, x_scale=self._scale(), method="trf", max_nfev=60)
+        return np.concatenate([np.zeros(10), turned.ravel(), moved.ravel()])
+
+    def _search(self, start: np.ndarray) -> OptimizeResult:
+        return least_squares(self._residuals, start, x_scale=self._scale(), method="lm")
 
     def calibration(self, solution: OptimizeResult) -> Calibration:
         """Return the solution as a calibration, with how sure it is."""
