@@ -1,10 +1,12 @@
 """`swarmtwin deploy` on a fleet behind a real broker: it drives, records, compares; every fault ends in standstill."""
 
+import functools
+import gc
 import json
+import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -20,6 +22,7 @@ import yaml
 from swarmtwin.commands import deploy
 from swarmtwin.commands.app import run_command
 from swarmtwin.deploy.control import deployment as deployment_module
+from swarmtwin.deploy.control.plan import Plan
 from swarmtwin.deploy.fleet.fleet import Fleet, FleetSettings
 from swarmtwin.deploy.fleet.orders import RobotFaults
 from swarmtwin.deploy.link.mqtt_link import connect
@@ -59,6 +62,16 @@ def fleet(running_fleet):
     running_fleet.set_faults(robots={})
     running_fleet.place(STARTS)
     return running_fleet
+
+
+@pytest.fixture(scope="module", autouse=True)
+def frozen_packages():
+    """Let no deployment look through the million objects of all packages for what is left over: that takes a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gc, "unfreeze", lambda: None)
+        gc.freeze()
+        yield
+    gc.unfreeze()
 
 
 class Stage:
@@ -245,43 +258,50 @@ def test_a_robot_that_does_not_obey_is_named(stage, capsys):
     assert any(part in error for part in named), error
 
 
-def in_a_process(stage, *options):
-    """`swarmtwin deploy` as a process of its own; the fleet's memory is its eyes."""
-    script = Path(__file__).parents[1] / "deploy" / "true_eyes.py"
-    descriptor = stage.fleet._memory.descriptor
-    tests = os.pathsep.join([str(script.parents[1]), os.environ.get("PYTHONPATH", "")])
-    return subprocess.Popen(
-        [sys.executable, script, str(descriptor), "1,2", "deploy", *stage.options, *options],
-        pass_fds=(descriptor,),
-        stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": tests},
-        text=True,
-    )
+@pytest.fixture
+def in_a_process(stage):
+    """Run `swarmtwin deploy` in a process forked from this one; what it says is left in the file `error`."""
+    started = []
+
+    def alone():
+        with Path("error").open("w") as sys.stderr:
+            sys.exit(int(run_command("deploy", stage.options)))
+
+    def start():
+        started.append(multiprocessing.get_context("fork").Process(target=alone))
+        started[-1].start()
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.kill()
+        one.join()
 
 
-def test_ctrl_c_stops_the_vehicles_and_ends_with_130(stage):
-    process = in_a_process(stage)
+def test_ctrl_c_stops_the_vehicles_and_ends_with_130(stage, in_a_process):
+    process = in_a_process()
     assert wait_until(stage.moves, 30)
     time.sleep(0.7)
-    process.send_signal(signal.SIGINT)
+    os.kill(process.pid, signal.SIGINT)
     asked_s = time.monotonic()
     assert wait_until(lambda: not stage.moves(), 3)
     assert time.monotonic() - asked_s < ROBOT.period_s
-    _, error = process.communicate(timeout=120)
-    assert process.returncode == 130, error
+    process.join(120)
+    error = Path("error").read_text()
+    assert process.exitcode == 130, error
     assert "all vehicles stand; the recording is in" in error
     assert len(read_recording(Path("out"), ROBOT).tracks) == 2
 
 
-def test_a_controller_that_is_killed_loses_no_row_and_its_vehicles_stand(stage):
-    process = in_a_process(stage)
+def test_a_controller_that_is_killed_loses_no_row_and_its_vehicles_stand(stage, in_a_process):
+    process = in_a_process()
     assert wait_until(stage.moves, 30)
     time.sleep(1.2)
     process.kill()
     killed_s = time.monotonic()
     assert wait_until(lambda: not stage.moves(), 3)
     assert time.monotonic() - killed_s < ROBOT.period_s
-    process.communicate()
+    process.join()
     assert wait_until(Path("out/recording.yaml").exists, 20)  # by the supervisor
     assert stage.stands()
     tracks = read_recording(Path("out"), ROBOT).tracks
@@ -293,24 +313,25 @@ def test_a_controller_that_is_killed_loses_no_row_and_its_vehicles_stand(stage):
     assert outcome == {"ending": "stopped", "reason": "the controller died"}
 
 
-def test_a_controller_that_freezes_is_stopped_by_the_supervisor_and_never_drives_again(stage):
-    process = in_a_process(stage)
+def test_a_controller_that_freezes_is_stopped_by_the_supervisor_and_never_drives_again(stage, in_a_process):
+    process = in_a_process()
     assert wait_until(stage.moves, 30)
     time.sleep(0.7)
-    process.send_signal(signal.SIGSTOP)
+    os.kill(process.pid, signal.SIGSTOP)
     frozen_s = time.monotonic()
     assert wait_until(lambda: not stage.moves(), 3)
     assert time.monotonic() - frozen_s < ROBOT.period_s
     time.sleep(1.0)
-    process.send_signal(signal.SIGCONT)
+    os.kill(process.pid, signal.SIGCONT)
     moved = False
     until_s = time.monotonic() + 1.0
     while time.monotonic() < until_s:
         moved |= stage.moves()
         time.sleep(0.005)
-    _, error = process.communicate(timeout=120)
+    process.join(120)
+    error = Path("error").read_text()
     assert not moved
-    assert process.returncode == 3, error
+    assert process.exitcode == 3, error
     assert "the supervisor has stopped the vehicles: the controller froze" in error
 
 
@@ -330,7 +351,7 @@ def test_a_controller_that_freezes_is_stopped_by_the_supervisor_and_never_drives
     ],
 )
 def test_a_mistake_is_one_line_before_anything_moves(stage, capsys, monkeypatch, options, message):
-    monkeypatch.setattr(deployment_module.Plan, "wait_s", 0.5, raising=False)
+    monkeypatch.setattr(deploy, "Plan", functools.partial(Plan, wait_s=0.5))
     status = stage.deploy(*options)
     error = capsys.readouterr().err.strip().splitlines()
     assert status == 2, error

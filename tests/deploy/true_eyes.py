@@ -1,12 +1,10 @@
-"""Eyes that need no camera: a fleet's true poses, with a camera's noise. As a program: a command that sees by them."""
+"""Eyes that need no camera: a fleet's true poses, with a camera's noise."""
 
-import sys
 import time
 
 import numpy as np
 from playground import MemoryCamera
 
-from swarmtwin.deploy.fleet.fleet_memory import FleetMemory
 from swarmtwin.deploy.tracking.sighting import Sighting
 from swarmtwin.geometry import wrap_angle
 
@@ -42,11 +40,3 @@ def see_by(memory):
 
     deploy.open_eyes = collect.open_eyes = open_eyes
     return camera, tracker
-
-
-if __name__ == "__main__":
-    from swarmtwin.commands.app import answer_interrupts, run_command  # noqa: F401
-
-    descriptor, vehicles, command, *arguments = sys.argv[1:]
-    see_by(FleetMemory(vehicles.split(","), int(descriptor)))
-    sys.exit(int(run_command(command, arguments)))
