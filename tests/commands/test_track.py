@@ -13,19 +13,23 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import residual_between
 from swarmtwin.recordings.reading import read_recording
 
-FRAMES = 150
+FRAMES_PER_S = 15
+FRAMES = 5 * FRAMES_PER_S
+HIDDEN = range(2 * FRAMES_PER_S, 5 * FRAMES_PER_S // 2)
 COMMANDS_AHEAD_S = 100.0
 
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory, robots):
-    """A folder with pictures of five vehicles, 5 s at 30 a second, and a calibration from twelve pictures elsewhere."""
+    """A folder with pictures of five vehicles, 5 s at 15 a second, and a calibration from twelve pictures elsewhere."""
     folder = tmp_path_factory.mktemp("drive")
     scene = Scene(robots["mgr"])
     (folder / "pictures").mkdir()
     for number in range(FRAMES):
-        hidden = ("4",) if 60 <= number < 75 else ()
-        cv2.imwrite(str(folder / "pictures" / f"{number:04}.png"), scene.picture(number / 30, hidden=hidden))
+        picture = scene.picture(number / FRAMES_PER_S, hidden=("4",) if number in HIDDEN else ())
+        cv2.imwrite(str(folder / "pictures" / f"{number:04}.png"), picture)
+    times = pd.DataFrame({"file": [f"{number:04}.png" for number in range(FRAMES)]})
+    times.assign(time_s=np.arange(FRAMES) / FRAMES_PER_S).to_csv(folder / "pictures" / "times.csv", index=False)
     fit_calibration(scene.pictures(), robots["mgr"], by_hand=MeasuredByHand(2000)).save(folder / "calibration.yaml")
     return folder
 
@@ -82,7 +86,7 @@ def test_what_was_driven_is_recorded(options, robots, tmp_path, caplog):
                 seen += 1
     assert seen == 49
     poses = pd.read_parquet(tmp_path / "recording" / "poses.parquet")
-    assert len(poses) == 5 * FRAMES - 15
+    assert len(poses) == 5 * FRAMES - len(HIDDEN)
     assert not caplog.records
 
 
@@ -103,20 +107,20 @@ def test_strangers_and_those_never_seen_are_named(options, caplog):
     track.run(options(commands_of("1239")))
     said = "\n".join(record.message for record in caplog.records)
     assert "vehicle 9 is never seen" in said
-    assert "marker 4 is seen on 135 pictures and belongs to no vehicle" in said
-    assert "marker 5 is seen on 150 pictures" in said
+    assert f"marker 4 is seen on {FRAMES - len(HIDDEN)} pictures and belongs to no vehicle" in said
+    assert f"marker 5 is seen on {FRAMES} pictures" in said
 
 
 def test_a_marker_that_is_there_twice_is_not_believed_and_said(options, drive, tmp_path, caplog):
     folder = tmp_path / "twice"
     folder.mkdir()
-    for number in range(45):
+    for number in range(24):
         picture = cv2.imread(str(drive / "pictures" / f"{number:04}.png"), cv2.IMREAD_GRAYSCALE)
         picture[300:350, 20:70] = another_marker_5()
         cv2.imwrite(str(folder / f"{number:04}.png"), picture)
-    track.run(options(commands_of(until_s=1.6), video=str(folder)))
+    track.run(options(commands_of(until_s=0.8), video=str(folder)))
     said = "\n".join(record.message for record in caplog.records)
-    assert "vehicle 5 is not believed on 45 pictures: marker 5 is there twice" in said
+    assert "vehicle 5 is not believed on 24 pictures: marker 5 is there twice" in said
 
 
 def another_marker_5():
