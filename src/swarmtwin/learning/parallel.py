@@ -22,7 +22,7 @@ PACKAGES = (
     *("torch", "torch._dynamo", "lightning", "pandas", "scipy.optimize", "scipy.stats", "stable_baselines3"),
     *("numba", "numba.np.arraymath", "numba.np.npyimpl"),
 )
-"""What most jobs import."""
+"""What most jobs import; the modules of the jobs themselves are imported as well."""
 
 Result = TypeVar("Result", covariant=True)
 Report = Callable[..., None]
@@ -60,7 +60,7 @@ def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, process
         calls = [delayed(_work)(job, listening.door if report else None) for job in jobs]
         pool = Parallel(at_a_time, "loky", batch_size=1, max_nbytes=None, initializer=_begin, initargs=started_in)
         try:
-            with _forked_from_one():
+            with _forked_from_one(jobs):
                 return list(pool(calls))
         except BrokenProcessPool:
             raise UserError(
@@ -72,12 +72,14 @@ def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, process
 
 
 @contextlib.contextmanager
-def _forked_from_one() -> Iterator[None]:
+def _forked_from_one(jobs: Sequence[Job[Any]]) -> Iterator[None]:
     """Let joblib fork its processes, as long as the block lasts, from one that has imported what takes seconds.
 
-    That one was started anew, so that no thread and no GPU of this process is copied; it ends with this one.
+    That one was started anew for the first jobs, so that no thread and no GPU of this process is copied; it ends with
+    this one.
     """
-    multiprocessing.set_forkserver_preload(list(PACKAGES))
+    modules = {type(job).__module__ for job in jobs} - {"__main__"}
+    multiprocessing.set_forkserver_preload([*PACKAGES, *sorted(modules)])
     set_start_method("forkserver", force=True)
     try:
         yield
