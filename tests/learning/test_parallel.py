@@ -18,9 +18,10 @@ STARTER = """
 import signal, sys
 sys.path.insert(0, sys.argv[1])
 from busy_job import BusyJob
-from swarmtwin.learning.parallel import run_side_by_side
+from swarmtwin.learning import parallel
+parallel.PACKAGES = ()
 signal.signal(signal.SIGINT, signal.default_int_handler)
-run_side_by_side([BusyJob(0), BusyJob(1)], lambda number: print(number, flush=True), 2)
+parallel.run_side_by_side([BusyJob(0), BusyJob(1)], lambda number: print(number, flush=True), 2)
 """
 
 
