@@ -68,9 +68,9 @@ def simulation(folder, robot):
 
 
 def policy_job(simulation, task="obstacle", algorithm=None, seed=1, checkpoint=None, every=20, scenes=6):
-    """A job of the MGR in a simulation's folder."""
+    """A job of the MGR in a simulation's folder; of a task by its name, roll-outs are short."""
     algorithm = algorithm or small("ddpg")
-    task = task_named(task) if isinstance(task, str) else task
+    task = task_named(task, steps=40) if isinstance(task, str) else task
     schedule = Schedule(steps=algorithm.steps, evaluate_every=every, scenes=scenes, final_scenes=2 * scenes)
     return PolicyJob(robot_named("mgr"), task, algorithm, schedule, simulation, "digest", seed, checkpoint)
 

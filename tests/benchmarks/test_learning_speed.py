@@ -10,7 +10,7 @@ from swarmtwin.learning.device import one_thread
 from swarmtwin.policies.algorithms import ddpg, td3
 from swarmtwin.policies.checkpoint import global_rng_kept
 from swarmtwin.policies.training import Learner
-from tiny_policies import algorithm_named, policy_job, robot_named, simulation
+from tiny_policies import algorithm_named, policy_job, robot_named, simulation, task_named
 
 ROUNDS = 8
 PERIODS = 25
@@ -30,7 +30,7 @@ def as_before(name):
 def learners(folder, monkeypatch, module, name):
     """Two that learn to meet with a shipped algorithm: with lean updates, and with those of stable-baselines3."""
     algorithm = algorithm_named(name, random_steps=1, buffer_size=100_000)
-    job = policy_job(folder, "collective", algorithm, every=1_000_000, scenes=1)
+    job = policy_job(folder, task_named("collective"), algorithm, every=1_000_000, scenes=1)
     lean = Learner(job)
     monkeypatch.setattr(module, f"Lean{name.upper()}", as_before(name))
     return {"lean": lean, "stable-baselines3": Learner(job)}

@@ -1,7 +1,10 @@
 """Learning: a tiny problem is solved, a broken learner does not solve it, and interruptions change no number."""
 
+import functools
 import json
 import random
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,6 +46,19 @@ def folder(tmp_path_factory):
     return simulation(tmp_path_factory.mktemp("simulation") / "kinematic", robot_named("mgr"))
 
 
+@pytest.fixture(scope="module")
+def undisturbed(folder):
+    """What comes of a small algorithm's training with seed 1, by the algorithm's name; each is trained once."""
+    return functools.cache(lambda name: policy_job(folder, algorithm=small(name)).run(None))
+
+
+@pytest.fixture(scope="module")
+def finished(folder, tmp_path_factory):
+    """A small training that has come to its end: what came of it, and its checkpoint, to copy."""
+    checkpoint = tmp_path_factory.mktemp("finished") / "seed-1.ckpt"
+    return policy_job(folder, checkpoint=checkpoint).run(None), checkpoint
+
+
 def quick(**changes):
     return algorithm_named(
         "ddpg", **{"steps": 400, "layers": [64, 64], "worlds": 16, "batch_size": 128, "random_steps": 50, **changes}
@@ -62,16 +78,16 @@ def test_a_working_learner_solves_a_tiny_problem_and_a_broken_one_does_not(folde
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_the_same_seed_gives_the_same_policy_and_another_seed_another(folder, name):
-    first, again, other = (policy_job(folder, algorithm=small(name), seed=seed).run(None) for seed in (1, 1, 2))
+def test_the_same_seed_gives_the_same_policy_and_another_seed_another(folder, undisturbed, name):
+    first = undisturbed(name)
+    again, other = (policy_job(folder, algorithm=small(name), seed=seed).run(None) for seed in (1, 2))
     assert same_weights(first, again)
     assert first.history == again.history
     assert not same_weights(first, other)
 
 
-def check_continues(job, checkpoint, evaluations=1):
-    """Kill a job after so many evaluations, continue it, and return what came of it, the same as undisturbed."""
-    whole = job.run(None)
+def check_continues(job, checkpoint, whole, evaluations=1):
+    """Kill a job after so many evaluations, continue it, and return what came of it: the `whole`, as undisturbed."""
     resumed, last = job._replace(checkpoint=checkpoint), whole.history[evaluations - 1].step
 
     def kill_after_the_evaluations(seed, done, evaluation):
@@ -89,8 +105,9 @@ def check_continues(job, checkpoint, evaluations=1):
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_an_interrupted_training_continues_to_the_same_numbers(folder, tmp_path, name):
-    check_continues(policy_job(folder, algorithm=small(name)), tmp_path / "seed-1.ckpt", evaluations=2)
+def test_an_interrupted_training_continues_to_the_same_numbers(folder, undisturbed, tmp_path, name):
+    job = policy_job(folder, algorithm=small(name))
+    check_continues(job, tmp_path / "seed-1.ckpt", undisturbed(name), evaluations=2)
 
 
 @pytest.fixture
@@ -126,7 +143,7 @@ def test_a_policy_learns_in_the_arena_that_its_simulation_states(folder, lossy):
 
 
 def test_a_policy_learns_in_another_arena_if_asked(folder):
-    job = policy_job(folder)
+    job = policy_job(folder, task_named("obstacle"))
     wide = job._replace(arena=Arena(x=(2000, 3500), y=(0, 1500)))
     learner = Learner(wide)
     assert learner.task.arena == wide.arena
@@ -137,7 +154,8 @@ def test_a_policy_learns_in_another_arena_if_asked(folder):
 
 @pytest.mark.usefixtures("lossy")
 def test_an_interrupted_training_continues_to_the_same_drawn_numbers(folder, tmp_path):
-    check_continues(policy_job(folder), tmp_path / "seed-1.ckpt")
+    job = policy_job(folder)
+    check_continues(job, tmp_path / "seed-1.ckpt", job.run(None))
 
 
 @pytest.fixture
@@ -153,7 +171,7 @@ def randomised(folder):
 
 
 def test_an_interrupted_training_in_a_randomised_world_continues_to_the_same_numbers(randomised, tmp_path):
-    result = check_continues(randomised, tmp_path / "seed-1.ckpt")
+    result = check_continues(randomised, tmp_path / "seed-1.ckpt", randomised.run(None))
     assert result.history != randomised._replace(randomisation=None).run(None).history
 
 
@@ -172,19 +190,20 @@ def test_a_checkpoint_of_other_ranges_is_not_continued(randomised, folder):
     assert len({job.identity for job in jobs}) == 3
 
 
-def test_a_finished_training_is_not_done_again(folder, tmp_path):
-    done = policy_job(folder, checkpoint=tmp_path / "seed-1.ckpt")
-    first = done.run(None)
+def test_a_finished_training_is_not_done_again(folder, finished, tmp_path):
+    first, checkpoint = finished
+    done = policy_job(folder, checkpoint=Path(shutil.copy(checkpoint, tmp_path)))
     reports = []
     assert done.run(lambda *told: reports.append(told)).history == first.history
     assert reports == []
 
 
 @pytest.mark.parametrize("damage", ["cut", "text", "pickle"])
-def test_a_damaged_checkpoint_is_named_and_the_seed_starts_anew(folder, tmp_path, caplog, damage):
+def test_a_damaged_checkpoint_is_named_and_the_seed_starts_anew(folder, finished, tmp_path, caplog, damage):
+    first, checkpoint = finished
     path = tmp_path / "seed-1.ckpt"
+    shutil.copy(checkpoint, path)
     kept = policy_job(folder, checkpoint=path)
-    first = kept.run(None)
     if damage == "cut":
         path.write_bytes(path.read_bytes()[:5000])
     elif damage == "text":
@@ -197,9 +216,8 @@ def test_a_damaged_checkpoint_is_named_and_the_seed_starts_anew(folder, tmp_path
     assert "\n" not in caplog.messages[0]
 
 
-def test_a_checkpoint_of_another_training_is_not_continued(folder, tmp_path, caplog):
-    path = tmp_path / "seed-1.ckpt"
-    policy_job(folder, checkpoint=path).run(None)
+def test_a_checkpoint_of_another_training_is_not_continued(folder, finished, caplog):
+    _, path = finished
     other = policy_job(folder, algorithm=small("ddpg", exploration=0.3), checkpoint=path)
     assert read_checkpoint(path, other.identity, 1) == {}
     assert caplog.messages == [f"seed 1 starts anew: checkpoint {path} is of another training"]
@@ -218,7 +236,7 @@ def test_the_global_random_numbers_are_left_alone(folder):
 
 
 def test_rewards_are_scaled_by_random_play_and_the_critic_begins_with_its_value(folder):
-    learner = Learner(policy_job(folder, task="collective", algorithm=small("ddpg", gamma=0.9, reward_size=2.0)))
+    learner = Learner(policy_job(folder, task_named("collective"), small("ddpg", gamma=0.9, reward_size=2.0)))
     learner.scale_rewards()
     assert 4 < 2.0 * learner.env.reward_scale < 12
     for layer in learner.job.algorithm.critics(learner.algorithm):
@@ -272,9 +290,8 @@ def test_training_evaluation_rollouts_and_gate_have_scenarios_of_their_own():
     assert np.array_equal(draw_scenarios(task, 5, "gate", 3).start, draw_scenarios(task, 5, "gate", 3).start)
 
 
-def test_the_policy_of_a_seed_plays_as_its_evaluation_says(folder):
-    taught = policy_job(folder)
-    result = taught.run(None)
+def test_the_policy_of_a_seed_plays_as_its_evaluation_says(folder, undisturbed):
+    taught, result = policy_job(folder), undisturbed("ddpg")
     task = taught.task.build(taught.robot)
     policy = policy_of(task, taught.algorithm, result)
     for name, tensor in policy.state_dict().items():
