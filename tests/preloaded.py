@@ -1,4 +1,7 @@
-"""Processes that need not import packages for seconds: forks of one that has imported them."""
+"""Processes that need not import packages for seconds: forks of one that has imported them.
+
+What the environment variable RUN_FIRST holds is run as Python before the program, in its process.
+"""
 
 import contextlib
 import os
@@ -17,14 +20,21 @@ sys.path.insert(0, {source!r})
 os.environ["SWARMTWIN_PRELOADED"] = {address!r}
 {call}
 """
-SWARMTWIN = """
-from swarmtwin.commands import main
-main()
+SERVER = """
+import os, sys
+from swarmtwin.commands import preloaded
+preloaded.PACKAGES = {packages!r}
+preloaded.serve({address!r})
+exec(os.environ.pop("RUN_FIRST", ""))
+{call}
 """
+SWARMTWIN = "from swarmtwin.commands import main; main()"
+DVC = "from dvc.cli import main; sys.exit(main(sys.argv[1:]))"
 DVC_PACKAGES = (
     *("dvc.cli.parser", "dvc.repo.reproduce", "dvc.repo.status", "dvc.repo.metrics.show", "dvc.repo.experiments.run"),
     *("dvc.repo.index", "dvc.stage.run", "dvc.output", "dvc.api", "dvc_data.index", "dulwich.repo"),
 )
+ASK = "from swarmtwin.commands.preloaded import ask; sys.exit(ask(sys.argv[1:]))"
 
 
 @contextlib.contextmanager
@@ -33,29 +43,23 @@ def preloaded_program(program: Path, source: Path, packages: tuple[str, ...] = p
 
     For tests that call it often: each call is a fork of a process that has imported its packages.
     """
-    with _served(program, source, packages, f"p.run({str(_address(program))!r})", SWARMTWIN):
+    with _served(program, source, packages, SWARMTWIN, SWARMTWIN):
         yield
 
 
 @contextlib.contextmanager
 def preloaded_dvc(program: Path, source: Path) -> Iterator[None]:
     """Write an executable `program` that runs DVC likewise."""
-    serve = f"p.serve({str(_address(program))!r}); import sys, dvc.cli; sys.exit(dvc.cli.main(sys.argv[1:]))"
-    ask = "from swarmtwin.commands.preloaded import ask; sys.exit(ask(sys.argv[1:]))"
-    with _served(program, source, DVC_PACKAGES, serve, ask):
+    with _served(program, source, DVC_PACKAGES, DVC, ASK):
         yield
 
 
-def _address(program: Path) -> Path:
-    return program.with_name(f"{program.name}.preloaded")
-
-
 @contextlib.contextmanager
-def _served(program: Path, source: Path, packages: tuple[str, ...], serve: str, call: str) -> Iterator[None]:
-    address = _address(program)
+def _served(program: Path, source: Path, packages: tuple[str, ...], served: str, call: str) -> Iterator[None]:
+    address = program.with_name(f"{program.name}.preloaded")
     program.write_text(PROGRAM.format(python=sys.executable, address=str(address), source=str(source), call=call))
     program.chmod(0o755)
-    server_code = f"from swarmtwin.commands import preloaded as p; p.PACKAGES = {packages!r}; {serve}"
+    server_code = SERVER.format(packages=packages, address=str(address), call=served)
     with subprocess.Popen([sys.executable, "-c", server_code]) as server:
         try:
             while not address.exists():

@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import pytest
 
+from preloaded import preloaded_program
 from swarmtwin.commands.app import run_command
 from swarmtwin.standin.physics import Physics
 from swarmtwin.tracking import registry
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 RECORDINGS = {
     "reference": ("vehicle=1", "runs=30", "steps=30", "seed=1"),
     "other_vehicle": ("vehicle=2", "runs=10", "steps=30", "seed=2"),
@@ -40,7 +42,10 @@ def run(*arguments):
 
 @pytest.fixture(scope="session")
 def library(made_once, empty_store):
-    """A folder to read from: recordings by name, models/ trained on `reference`, and an MLflow store without a run."""
+    """A folder to read from: recordings by name, of `reference` prepared transitions and models, and a store of MLflow.
+
+    The store holds no run.
+    """
 
     def make(folder):
         with pytest.MonkeyPatch.context() as patch:
@@ -51,6 +56,7 @@ def library(made_once, empty_store):
             shutil.copy(empty_store, "empty.db")
             for name, options in RECORDINGS.items():
                 assert run("record", *options, f"output={name}") == 0
+            assert run("prepare", "recording=reference", "pictures=false", "output=prepared") == 0
             for name, options in MODELS.items():
                 assert run("train", "recording=reference", *TRAINING, *options, f"output=models/{name}") == 0
 
@@ -83,6 +89,20 @@ def swarmtwin(workshop, capsys):
 def undrawn(monkeypatch):
     """Leave out what `evaluate` draws, which test_pictures.py looks at."""
     monkeypatch.setattr("swarmtwin.commands.evaluate.draw_evaluation", lambda made, output: None)
+
+
+@pytest.fixture
+def prepared(library, workshop) -> Path:
+    """Copy the transitions prepared from `reference` into the workshop; their folder."""
+    return shutil.copytree(library / "prepared", workshop / "prepared")
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory):
+    """A `swarmtwin` to start as a process of its own, which has its packages at once."""
+    file = tmp_path_factory.mktemp("program") / "swarmtwin"
+    with preloaded_program(file, REPOSITORY / "src"):
+        yield file
 
 
 @pytest.fixture

@@ -44,6 +44,16 @@ def command(workshop):
     return call
 
 
+@pytest.fixture
+def preloaded(program, workshop):
+    """The same, where the process has its packages at once."""
+
+    def call(*arguments, **environment):
+        return subprocess.run([program, *arguments], capture_output=True, text=True, env=os.environ | environment)
+
+    return call
+
+
 @pytest.mark.parametrize(
     "launcher",
     [
@@ -89,11 +99,11 @@ def test_trainings_side_by_side_are_those_of_one_after_the_other(command, worksh
     assert sorted(parents.count(run.info.run_id) for run in runs) == [0, 0, 0, 0, 2, 2]
 
 
-def test_a_launcher_that_is_not_installed_is_one_line(command):
+def test_a_launcher_that_is_not_installed_is_one_line(preloaded):
     if importlib.util.find_spec("ray"):
         pytest.skip("Ray is installed")
     sweep = ("recording=reference", "pictures=false", "split.seed=1,2", "output=out/${split.seed}")
-    answer = command("prepare", "-m", "hydra/launcher=ray", *sweep)
+    answer = preloaded("prepare", "-m", "hydra/launcher=ray", *sweep)
     assert answer.returncode == 2
     assert "pip install 'swarmtwin[ray]'" in answer.stderr
 
@@ -106,7 +116,7 @@ def test_a_glob_is_each_of_the_choices_that_fit(workshop):
         check_sweep("train", "train", ["-m", "model=glob(*)", "recording=nowhere"])
 
 
-def test_a_sweep_by_a_glob_takes_every_choice_of_a_folder_of_ones_own(command, workshop):
+def test_a_sweep_by_a_glob_takes_every_choice_of_a_folder_of_ones_own(preloaded, workshop):
     mine = workshop / "mine" / "split"
     mine.mkdir(parents=True)
     for seed in (5, 6):
@@ -114,10 +124,10 @@ def test_a_sweep_by_a_glob_takes_every_choice_of_a_folder_of_ones_own(command, w
         text = (mine / f"mine_{seed}.yaml").read_text()
         (mine / f"mine_{seed}.yaml").write_text(text.replace("seed: 1", f"seed: {seed}"))
     options = ("recording=reference", "pictures=false", "output=out/${split.seed}")
-    answer = command("prepare", "-m", "--config-dir=mine", "split=glob(mine_*)", *options)
+    answer = preloaded("prepare", "-m", "--config-dir=mine", "split=glob(mine_*)", *options)
     assert answer.returncode == 0, answer.stderr
     assert [kept(workshop / "out" / seed)["split"]["seed"] for seed in ("5", "6")] == [5, 6]
-    shown = command(
+    shown = preloaded(
         "prepare", "--cfg", "job", "--config-dir=mine", "split=mine_5", "recording=reference", "output=out/x"
     )
     assert "seed: 5" in shown.stdout
@@ -135,8 +145,8 @@ def test_a_sweep_by_a_glob_takes_every_choice_of_a_folder_of_ones_own(command, w
         ("swarmtwin nonsense a", set()),
     ],
 )
-def test_what_is_typed_is_completed(command, line, completed):
-    answer = command("--shell-completion", "query=bash", COMP_LINE=line)
+def test_what_is_typed_is_completed(preloaded, line, completed):
+    answer = preloaded("--shell-completion", "query=bash", COMP_LINE=line)
     assert answer.returncode == 0, answer.stderr
     assert set(answer.stdout.split()) == completed
 

@@ -3,9 +3,7 @@
 import json
 import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import av
 import mlflow
@@ -19,7 +17,6 @@ from swarmtwin.tracking import registry
 from swarmtwin.tracking.store import use_store
 from tiny_policies import provenance, seeker, task_named
 
-SWARMTWIN = Path(sys.executable).with_name("swarmtwin")
 TASK = ("task=obstacle", "task.steps=40", "task.reach_mm=300", "task.distance_mm=360", "task.radius_mm=[5,10]")
 SMALL = ("policy.layers=[16]", "policy.worlds=4", "policy.steps=150", "policy.random_steps=20", "policy.batch_size=64")
 WITH_PICTURES = ("learn", "simulation=mlp", *TASK, *SMALL, "evaluate_every=50", "scenes=60", "final_scenes=100")
@@ -116,10 +113,10 @@ def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     assert len({run.data.tags["mlflow.parentRunId"] for run in children}) == 1
 
 
-def test_an_interrupted_command_goes_on_to_the_same_policy(swarmtwin, model, workshop):
+def test_an_interrupted_command_goes_on_to_the_same_policy(swarmtwin, program, model, workshop):
     model("mlp")
     options = (*QUICK, "policy.steps=150", "seeds=1", "register=false")
-    process = subprocess.Popen([SWARMTWIN, *options, "output=out"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen([program, *options, "output=out"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     checkpoint = workshop / ".out.partial" / "checkpoints" / "seed-1.ckpt"
     for _ in range(2400):
         if checkpoint.exists() or process.poll() is not None:

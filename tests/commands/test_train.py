@@ -1,9 +1,9 @@
 """`swarmtwin train` leaves a whole model or none, the same for the same seed, tracked and registered."""
 
 import json
+import os
 import signal
 import subprocess
-import sys
 
 import mlflow
 import numpy as np
@@ -25,8 +25,7 @@ MLP = ("train", "recording=reference", "model=mlp", "model.steps=150", "recipe.b
 QUICK = ("train", "recording=reference", "recipe.epochs=2", "seeds=1", "register=false", "pictures=false")
 
 WAIT_IN_EPOCH_5_OF_SEED_2 = """
-import time
-from swarmtwin.commands import main
+import os, time
 from swarmtwin.dynamics.training_module import EpochHistory
 
 close_epoch = EpochHistory.on_train_epoch_end
@@ -34,11 +33,10 @@ close_epoch = EpochHistory.on_train_epoch_end
 def close_and_wait(self, *arguments):
     close_epoch(self, *arguments)
     if self.seed == 2 and len(self.errors) == 5:
-        print("waiting", flush=True)
+        print(os.getpid(), flush=True)
         time.sleep(120)
 
 EpochHistory.on_train_epoch_end = close_and_wait
-main()
 """
 
 
@@ -71,14 +69,20 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(swarmtwin,
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
-def test_an_interrupted_training_leaves_no_model_and_continues_to_the_same_one(swarmtwin, workshop, monkeypatch, stop):
-    (workshop / "hold.py").write_text(WAIT_IN_EPOCH_5_OF_SEED_2)
-    command = [sys.executable, "hold.py", *MLP, "output=out"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout.readline() == "waiting\n"
-    process.send_signal(stop)
+def test_an_interrupted_training_leaves_no_model_and_continues_to_the_same_one(
+    swarmtwin, program, workshop, monkeypatch, stop
+):
+    short = (*MLP, "model.steps=60")
+    process = subprocess.Popen(
+        [program, *short, "output=out"],
+        env=os.environ | {"RUN_FIRST": WAIT_IN_EPOCH_5_OF_SEED_2},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    os.kill(int(process.stdout.readline()), stop)
     _, error = process.communicate(timeout=60)
-    assert process.returncode == {signal.SIGINT: 130, signal.SIGKILL: -signal.SIGKILL}[stop]
+    assert process.returncode == {signal.SIGINT: 130, signal.SIGKILL: 128 + signal.SIGKILL}[stop]
     assert "Traceback" not in error
     if stop == signal.SIGINT:
         assert f"interrupted; what was done is kept, the same call with output={workshop / 'out'} goes on" in error
@@ -89,10 +93,10 @@ def test_an_interrupted_training_leaves_no_model_and_continues_to_the_same_one(s
     monkeypatch.setattr(
         EpochHistory, "on_train_epoch_end", lambda self, *a: (trained.append(self.seed), close_epoch(self, *a))
     )
-    assert swarmtwin(*MLP, "output=out").status == 0
+    assert swarmtwin(*short, "output=out").status == 0
     epochs = len(pd.read_csv(workshop / "out" / "history.csv").query("seed == 2"))
     assert trained == [2] * (epochs - 5)
-    assert swarmtwin(*MLP, "output=uninterrupted").status == 0
+    assert swarmtwin(*short, "output=uninterrupted").status == 0
     assert same_model(workshop / "out", workshop / "uninterrupted")
     assert not (workshop / "out" / "checkpoints").exists()
     assert not list(workshop.glob(".out*"))
@@ -110,6 +114,7 @@ def test_of_a_sweep_the_best_challenges_whichever_is_last(swarmtwin, workshop):
             "recording=short_runs",
             "recipe.batch_size=128",
             "seeds=1",
+            "pictures=false",
         ),
         "output=steps-${model.steps}",
     )
@@ -148,7 +153,7 @@ def test_a_run_is_tracked_and_its_model_registered_as_challenger(swarmtwin, work
 
 
 def test_the_evidence_beside_a_model_is_every_run_that_it_was_not_fitted_to(swarmtwin, workshop):
-    assert swarmtwin("prepare", "recording=pair", "output=prepared").status == 0
+    assert swarmtwin("prepare", "recording=pair", "pictures=false", "output=prepared").status == 0
     assert swarmtwin(*QUICK[:1], "transitions=prepared", *QUICK[2:], "model=mlp", "output=out").status == 0
     evidence, prepared = load_evidence(workshop / "out"), load_transitions(workshop / "prepared")
     in_evidence = {evidence.runs[index] for index in evidence.run}
@@ -161,7 +166,7 @@ def test_the_evidence_beside_a_model_is_every_run_that_it_was_not_fitted_to(swar
 
 
 def test_the_evidence_goes_with_the_model_into_the_registry_and_does_not_change_its_digest(swarmtwin, workshop):
-    assert swarmtwin(*QUICK[:-1], "model=kinematic", "register=true", "output=out").status == 0
+    assert swarmtwin(*QUICK, "model=kinematic", "register=true", "output=out").status == 0
     fetched = registry.find_version("models:/mgr-dynamics@challenger").folder()
     assert (fetched / "evidence.parquet").read_bytes() == (workshop / "out" / "evidence.parquet").read_bytes()
     digest = folder_digest(workshop / "out")
@@ -179,9 +184,10 @@ def test_damaged_evidence_is_refused(workshop, model):
     assert str(refused.value).endswith("): train the model anew")
 
 
-def test_synthetic_transitions_are_no_evidence_and_a_mixture_s_is_what_its_generator_has_not_seen(swarmtwin, workshop):
-    assert swarmtwin("prepare", "recording=reference", "output=prepared").status == 0
-    real, preparation = load_transitions(workshop / "prepared"), load_preparation(workshop / "prepared")
+def test_synthetic_transitions_are_no_evidence_and_a_mixture_s_is_what_its_generator_has_not_seen(
+    swarmtwin, workshop, prepared
+):
+    real, preparation = load_transitions(prepared), load_preparation(prepared)
     origin = GeneratorOrigin(name="gan", digest="d", seed=1, real_transitions=1)
     lineage = {"synthetic": preparation.learned, "elsewhere": (*preparation.learned, "another run")}
     for name, learned in lineage.items():
@@ -221,8 +227,9 @@ def test_a_sweep_is_one_parent_with_comparable_children(swarmtwin):
     assert len({child.data.tags["recording.digest"] for child in children}) == 1
 
 
-def test_dead_seeds_are_flagged_replaced_and_never_the_model(swarmtwin, workshop):
-    fcnn = ("model=fcnn", "model.steps=120", "recipe.batch_size=128", "register=false")
+def test_dead_seeds_are_flagged_replaced_and_never_the_model(swarmtwin, workshop, monkeypatch):
+    monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # in this process, also on a machine so busy that two seem worth it
+    fcnn = ("model=fcnn", "model.steps=120", "recipe.batch_size=128", "register=false", "pictures=false")
     answer = swarmtwin("train", "recording=reference", *fcnn, "seed=1", "seeds=6", "output=out")
     assert answer.status == 0
     provenance = Provenance.read(workshop / "out")
@@ -290,8 +297,8 @@ def test_where_every_seed_is_dead_nothing_is_left(swarmtwin, workshop):
         (["recording=reference", "seeds=0"], 2, "options: field 'seeds': Input should be greater than or equal to 1"),
     ],
 )
+@pytest.mark.usefixtures("prepared")
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, options, status, message):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
     answer = swarmtwin("train", *options, "output=out")
     assert answer.status == status
     assert answer.error.startswith(f"swarmtwin train: {message}")
@@ -300,9 +307,8 @@ def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, options, 
     assert runs() == []
 
 
-def test_transitions_damaged_in_the_middle_are_refused_before_anything_is_learned(swarmtwin, workshop):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
-    file = workshop / "prepared" / "transitions.parquet"
+def test_transitions_damaged_in_the_middle_are_refused_before_anything_is_learned(swarmtwin, workshop, prepared):
+    file = prepared / "transitions.parquet"
     table = pyarrow.parquet.read_table(file)
     pyarrow.parquet.write_table(table, file, row_group_size=100, compression="zstd")
     damaged = pyarrow.parquet.read_metadata(file).row_group(4).column(table.column_names.index("turn_rad"))
