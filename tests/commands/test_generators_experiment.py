@@ -26,8 +26,8 @@ EXPERIMENT = (
 )
 
 
+@pytest.mark.usefixtures("prepared")
 def test_each_generator_and_its_student_have_a_row_with_the_same_columns(swarmtwin, workshop):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
     answer = swarmtwin(*EXPERIMENT, "+generators.gan_2={name: gan, epochs: 2}", "output=out")
     assert answer.status == 0, answer.error
     table = pd.read_csv(workshop / "out" / "table.csv").set_index("generator")
@@ -61,8 +61,8 @@ def test_each_generator_and_its_student_have_a_row_with_the_same_columns(swarmtw
         ("+generators.mine={name: gna}", "no such generator: 'gna': did you mean 'gan'?"),
     ],
 )
+@pytest.mark.usefixtures("prepared")
 def test_a_mistake_is_one_line_and_leaves_nothing(swarmtwin, workshop, option, message):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
     answer = swarmtwin(*EXPERIMENT, option, "output=out")
     assert answer.status == 2
     assert message in answer.error

@@ -29,8 +29,8 @@ EXPERIMENT = (
 )
 
 
+@pytest.mark.usefixtures("prepared")
 def test_the_table_compares_with_the_model_on_all_real_data(swarmtwin, workshop):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
     cases = "cases=[generator,ensemble,generator_as_many,mixture_50,mlp_real_part,mlp_generator_few,real_few_epochs]"
     answer = swarmtwin(*EXPERIMENT, cases, "seeds=2", "output=out")
     assert answer.status == 0, answer.error
@@ -52,22 +52,23 @@ def test_the_table_compares_with_the_model_on_all_real_data(swarmtwin, workshop)
     assert (workshop / "out" / "errors.png").exists()
 
 
-def test_a_trained_generator_is_taken_where_there_is_one(swarmtwin, workshop, monkeypatch):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
+@pytest.mark.usefixtures("prepared")
+def test_a_trained_generator_is_taken_where_there_is_one(swarmtwin, monkeypatch):
     quick = ("generator.mean_model_steps=60", "generator.noise_steps=60", "generator.batch_size=64")
-    made = swarmtwin("generate", "robot=mgr", "transitions=prepared", *quick, "output=none/residual_diffusion")
-    assert made.status == 0
+    made = ("generate", "robot=mgr", "transitions=prepared", "pictures=false", "output=none/residual_diffusion")
+    assert swarmtwin(*made, *quick).status == 0
 
     def refuse(*arguments):
         raise AssertionError("trained anew")
 
     monkeypatch.setattr("swarmtwin.studies.synthetic.trainings.fit", refuse)
-    assert swarmtwin(*EXPERIMENT, "cases=[mlp_generator]", "output=out").status == 0
+    assert swarmtwin(*EXPERIMENT, "cases=[mlp_generator]", "pictures=false", "output=out").status == 0
 
 
+@pytest.mark.usefixtures("prepared")
 def test_a_model_is_taken_that_came_of_the_very_same_training_and_no_other(swarmtwin, workshop, monkeypatch):
-    swarmtwin("prepare", "recording=reference", "output=prepared")
-    made = ("train", "model=crnet", "transitions=prepared", "recipe.batch_size=128", "seeds=1", "register=false")
+    quick = ("recipe.batch_size=128", "seeds=1", "register=false", "pictures=false")
+    made = ("train", "model=crnet", "transitions=prepared", *quick)
     assert swarmtwin(*made, "model.steps=12", "output=same").status == 0
     assert swarmtwin(*made, "model.steps=24", "output=longer").status == 0
     assert swarmtwin(*made, "model.steps=12", "seed=2", "output=other_seed").status == 0
@@ -78,7 +79,7 @@ def test_a_model_is_taken_that_came_of_the_very_same_training_and_no_other(swarm
         return train_seeds(jobs, *arguments)
 
     monkeypatch.setattr("swarmtwin.studies.synthetic.study.train_seeds", counted)
-    call = (*EXPERIMENT, "cases=[mlp_real]", "models=[nowhere,longer,other_seed,same]", "seeds=2")
+    call = (*EXPERIMENT, "cases=[mlp_real]", "models=[nowhere,longer,other_seed,same]", "seeds=2", "pictures=false")
     assert swarmtwin(*call, "output=taken").status == 0
     assert swarmtwin(*call, "models=[longer]", "output=trained").status == 0
     assert [sorted(name for name, _, _ in jobs) for jobs in trained] == [

@@ -27,6 +27,18 @@ STUDY = ("study=mgr-kinematic",)
 SEARCH = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", *STUDY)
 
 
+@pytest.fixture
+def drawn():
+    """Pictures of the search, which all tests but those that look at them go without."""
+
+
+@pytest.fixture(autouse=True)
+def without_pictures(request, monkeypatch):
+    """Draw none where a test does not ask for them: they take as long as the search."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr("swarmtwin.studies.found_values.search_figures", lambda *_: {})
+
+
 def study(workshop):
     """The study in the storage that the command chose."""
     backend = JournalFileBackend(str(workshop / "outputs" / "tune" / "mgr-kinematic.journal"))
@@ -43,6 +55,7 @@ def space(**options):
     return "~space", f"+space={{{ranges}}}"
 
 
+@pytest.mark.usefixtures("drawn")
 def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, workshop):
     assert swarmtwin(*SEARCH, "workers=2", "trials=5").status == 0
     first = complete(workshop)
@@ -71,6 +84,7 @@ def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, work
     assert sorted(loss for losses in parents.values() for loss in losses) == sorted(trial.value for trial in trials)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_what_was_found_are_configurations_that_name_their_study(swarmtwin, workshop):
     """They lie in a folder for --config-dir: `train` with them is the best trial again."""
     ranges = space(weight_decay="{low: 0.01, high: 0.2}")[1].removeprefix("+space={").removesuffix("}")
@@ -147,6 +161,7 @@ def test_two_workers_share_a_database_and_a_later_call_continues_it(swarmtwin, w
     assert len({trial.params["recipe.learning_rate"] for trial in ended}) == 4
 
 
+@pytest.mark.usefixtures("drawn")
 def test_the_advice_is_a_complete_command(swarmtwin, workshop):
     options = ("model.steps=40", "split.seed=3", "device=cpu")
     search = ("tune", "recording=reference", "model=kinematic", *options, *space(batch_size="{choices: [256]}"))
@@ -154,7 +169,7 @@ def test_the_advice_is_a_complete_command(swarmtwin, workshop):
     assert answer.status == 0
     (advice,) = [line for line in answer.shown.splitlines() if line.startswith("train with it: ")]
     command = shlex.split(advice.removeprefix("train with it: swarmtwin "))
-    assert swarmtwin(*command, "seeds=1", "register=false", "output=out").status == 0
+    assert swarmtwin(*command, "seeds=1", "register=false", "pictures=false", "output=out").status == 0
     kept = yaml.safe_load((workshop / "outputs" / "tune" / "advised.yaml").read_text())
     described = yaml.safe_load((workshop / "out" / "model.yaml").read_text())
     assert described["model"]["steps"] == 40
@@ -200,6 +215,7 @@ def test_no_heading_is_cut_off_in_a_narrow_window(swarmtwin, monkeypatch):
         assert word in answer.shown
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_hopeless_trial_is_broken_off_and_counts(swarmtwin, workshop):
     rates = space(learning_rate="{choices: [0.01, 1.0e-7]}")
     search = (*SEARCH, *rates, "recipe.epochs=5", "recipe.batch_size=512", "workers=1")
