@@ -230,7 +230,8 @@ def test_a_sweep_is_one_parent_with_comparable_children(swarmtwin):
 def test_dead_seeds_are_flagged_replaced_and_never_the_model(swarmtwin, workshop, monkeypatch):
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # in this process, also on a machine so busy that two seem worth it
     fcnn = ("model=fcnn", "model.steps=120", "recipe.batch_size=128", "register=false", "pictures=false")
-    answer = swarmtwin("train", "recording=reference", *fcnn, "seed=1", "seeds=6", "output=out")
+    quick = ("trainer.logger=none", "trainer.checkpoint_epochs=30")
+    answer = swarmtwin("train", "recording=reference", *fcnn, *quick, "seed=1", "seeds=6", "output=out")
     assert answer.status == 0
     provenance = Provenance.read(workshop / "out")
     dead = [outcome for outcome in provenance.seeds if outcome.dead]
