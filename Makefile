@@ -7,11 +7,12 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export OMP_NUM_THREADS := 1
 unexport PYTHONDONTWRITEBYTECODE  # pip compiles nothing: each module is compiled once, when it is first imported
 
-.PHONY: help setup run test claims services benchmark lint docs paper audit ui data notebooks dependencies lock queue fuzz kill demo faults
+.PHONY: help setup run test end-to-end claims services benchmark lint docs paper audit ui data notebooks dependencies lock queue fuzz kill demo faults
 
 help:
 	@echo "make run        set up, pull the recordings, run the whole pipeline, show the results"
-	@echo "make test       set up, run all tests"
+	@echo "make test       set up, run the tests"
+	@echo "make end-to-end  test whole ways: the pipeline in DVC, plug-ins, sweeps in many processes, what goes on after a kill"
 	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
 	@echo "make services   test what others run: sweeps and studies on a Ray cluster, models and recordings in a bucket"
 	@echo "make lint       set up, check style and types"
@@ -102,9 +103,14 @@ kill: setup  # commands that die at random moments, and are called again; likewi
 # What the documentation shows: of the pipeline its tables, and all that the pipelines in docs/results computed.
 DOCUMENTED := tables docs/results/dvc.yaml docs/results/creates/dvc.yaml
 
+PYTEST := $(BIN)/pytest -n 3 --dist worksteal
 test: setup
 	$(BIN)/dvc pull --quiet data $(DOCUMENTED)
-	$(BIN)/pytest -n 3 --dist worksteal -m "not benchmark_figures and not claims and not services" tests
+	$(PYTEST) -m "not benchmark_figures and not claims and not services and not end_to_end" tests
+
+end-to-end: setup
+	$(BIN)/dvc pull --quiet data
+	$(PYTEST) -m end_to_end tests
 
 claims: setup
 	$(BIN)/dvc pull --quiet data

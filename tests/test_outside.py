@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 import yaml
 
+pytestmark = pytest.mark.end_to_end
 OUTSIDE = Path(__file__).resolve().parent / "outside"
 RUN_EACH_LINE = """
 import shlex, sys
@@ -32,7 +33,7 @@ record robot=cart vehicle=9 runs=40 steps=20 seed=2 output=worn
 import robot=cart source=logbook path=. run_s=5 output=imported
 prepare robot=cart recording=imported output=prepared
 train robot=cart model=two_layers recording=reference recipe.batch_size=64 seeds=2 register=false output=model
-train robot=cart model=kinematic recording=reference model.steps=150 {alone} output=kinematic
+train robot=cart model=kinematic recording=reference model.steps=300 {alone} output=kinematic
 evaluate robot=cart simulation=model recording=worn output=evaluated
 generate robot=cart generator=small_gan recording=reference count=200 output=synthetic
 learn robot=cart task=visit policy=patient_td3 simulation=model evaluate_every=30 scenes=20 {alone} output=policy

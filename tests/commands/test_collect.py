@@ -48,6 +48,7 @@ def collect(workplace, broker):
         yield call
 
 
+@pytest.mark.end_to_end
 def test_a_new_vehicle_is_recorded_by_nothing_but_its_robots_file(collect, capsys):
     collect.fleet.place({"7": (960.0, 500.0, 0.0)})  # it looks at the wall, near it
     assert collect("runs=2", "steps=8", "commands=held") == 0

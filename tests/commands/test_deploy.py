@@ -158,6 +158,7 @@ def test_it_drives_to_the_target_and_leaves_a_recording_figures_and_a_run(stage,
     assert run.data.tags["ending"] == "done"
 
 
+@pytest.mark.end_to_end
 def test_a_vehicle_drives_past_an_obstacle_that_it_was_told_of(stage, capsys):
     save_seeker(stage.folder / "passer", source="kinematic", task="obstacle", reach_mm=260.0)
     stage.fleet.place({"1": (250.0, 300.0, 0.7), "2": (200.0, 900.0, 0.0)})

@@ -124,6 +124,7 @@ def test_the_result_keeps_how_probable_the_leading_sets_are(diagnosed):
     assert limits["battery_sag"].value < diagnosis.causes[0].parameters["loss"].value
 
 
+@pytest.mark.end_to_end
 def test_what_held_out_runs_do_not_confirm_is_neither_named_nor_kept_nor_registered(drives, tmp_path, capfd):
     """A session whose every fourth run, which is held out, has nothing wrong."""
     mixed = tmp_path / "mixed"
@@ -149,6 +150,7 @@ def test_the_report_stands_alone(diagnosed):
     assert "https://" not in page
 
 
+@pytest.mark.end_to_end
 def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
     model = drives / "model"
     call(
@@ -182,6 +184,7 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
     assert extended.dynamics.dynamics.config.name == "mlp"
 
 
+@pytest.mark.end_to_end
 def test_the_answer_book_is_not_read_and_the_same_seed_gives_the_same_answer(drives, tmp_path, diagnosed):
     """Without truth and provenance beside the recordings the diagnosis is the same, to the last digit."""
     for name in ("reference", "sag"):

@@ -26,6 +26,7 @@ EXPERIMENT = (
 )
 
 
+@pytest.mark.end_to_end
 @pytest.mark.usefixtures("prepared")
 def test_each_generator_and_its_student_have_a_row_with_the_same_columns(swarmtwin, workshop):
     answer = swarmtwin(*EXPERIMENT, "+generators.gan_2={name: gan, epochs: 2}", "output=out")

@@ -41,6 +41,7 @@ def trained(monkeypatch):
     return trained
 
 
+@pytest.mark.end_to_end
 def test_an_interrupted_experiment_goes_on_and_another_takes_what_is_there(swarmtwin, workshop, trained, monkeypatch):
     trained.interrupted_after = 3
     answer = swarmtwin(*FIGURE9, "output=all/figure9")

@@ -57,7 +57,7 @@ def preloaded(program, workshop):
 @pytest.mark.parametrize(
     "launcher",
     [
-        "joblib",
+        pytest.param("joblib", marks=pytest.mark.end_to_end),
         pytest.param("submitit_local", marks=pytest.mark.claims),
         pytest.param("ray", marks=pytest.mark.services),
     ],

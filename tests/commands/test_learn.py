@@ -94,6 +94,7 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
     assert load_policy(version.folder()).provenance == policy.provenance
 
 
+@pytest.mark.end_to_end
 def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     model("mlp")
     answer = swarmtwin(
@@ -113,6 +114,7 @@ def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     assert len({run.data.tags["mlflow.parentRunId"] for run in children}) == 1
 
 
+@pytest.mark.end_to_end
 def test_an_interrupted_command_goes_on_to_the_same_policy(swarmtwin, program, model, workshop):
     model("mlp")
     options = (*QUICK, "policy.steps=150", "seeds=1", "register=false")

@@ -68,6 +68,7 @@ def test_so_are_comparisons_and_a_command_can_leave_drawing_to_it(swarmtwin, mod
     assert {Path(entry.path).name for entry in kept} - {"provenance.json"} == set(again)
 
 
+@pytest.mark.end_to_end
 def test_so_are_rollouts_with_their_films(swarmtwin, workshop, robots):
     simulation(workshop / "kinematic", robots["mgr"])
     (workshop / "policies").mkdir()

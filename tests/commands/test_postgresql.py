@@ -47,6 +47,7 @@ def server():
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@pytest.mark.end_to_end
 def test_two_processes_share_a_study_in_postgresql_and_a_later_call_goes_on(swarmtwin, server):
     storage = f"postgresql://swarmtwin@{server}/studies"
     search = ("tune", "recording=reference", "model=kinematic", "recipe.epochs=3", "recipe.batch_size=256", "study=one")

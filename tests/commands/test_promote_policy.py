@@ -49,6 +49,7 @@ def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_
     assert champion_number() == 1
 
 
+@pytest.mark.end_to_end
 def test_a_policy_is_judged_by_what_was_found_as_a_gap(promote, workshop, robots):
     digest = registry.folder_digest(simulation(workshop / "kinematic", robots["mgr"]))
     seeker = save_seeker(workshop / "seeker", source="kinematic", digest=digest)

@@ -29,6 +29,7 @@ EXPERIMENT = (
 )
 
 
+@pytest.mark.end_to_end
 @pytest.mark.usefixtures("prepared")
 def test_the_table_compares_with_the_model_on_all_real_data(swarmtwin, workshop):
     cases = "cases=[generator,ensemble,generator_as_many,mixture_50,mlp_real_part,mlp_generator_few,real_few_epochs]"

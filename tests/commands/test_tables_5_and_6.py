@@ -121,6 +121,7 @@ def test_a_simulation_in_which_nothing_is_learned_is_a_result(place):
     assert "| the paper's | CR-Net-S | -3.13 ± 0.26 |" in text
 
 
+@pytest.mark.end_to_end
 def test_two_underwater_robots_have_a_table_in_which_the_paper_has_no_line(place, robots):
     simulation(place / "kinematic", robots["mur"])
     options = ["name=table6", "robot=mur", "task=pair", "task.targets=1", "task.steps=40", "pictures=false", *QUICK]

@@ -68,6 +68,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(swarmtwin,
     assert not same_model(workshop / "seed-2", library / "models" / "mlp")
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_training_leaves_no_model_and_continues_to_the_same_one(
     swarmtwin, program, workshop, monkeypatch, stop
@@ -227,6 +228,7 @@ def test_a_sweep_is_one_parent_with_comparable_children(swarmtwin):
     assert len({child.data.tags["recording.digest"] for child in children}) == 1
 
 
+@pytest.mark.end_to_end
 def test_dead_seeds_are_flagged_replaced_and_never_the_model(swarmtwin, workshop, monkeypatch):
     monkeypatch.setenv("LOKY_MAX_CPU_COUNT", "1")  # in this process, also on a machine so busy that two seem worth it
     fcnn = ("model=fcnn", "model.steps=120", "recipe.batch_size=128", "register=false", "pictures=false")

@@ -55,6 +55,7 @@ def space(**options):
     return "~space", f"+space={{{ranges}}}"
 
 
+@pytest.mark.end_to_end
 @pytest.mark.usefixtures("drawn")
 def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, workshop):
     assert swarmtwin(*SEARCH, "workers=2", "trials=5").status == 0
@@ -152,6 +153,7 @@ def test_a_generator_without_a_space_is_told_how_to_give_it_one(swarmtwin):
     )
 
 
+@pytest.mark.end_to_end
 def test_two_workers_share_a_database_and_a_later_call_continues_it(swarmtwin, workshop):
     for workers, trials in ((2, 3), (1, 4)):
         calls = (f"workers={workers}", f"trials={trials}")
@@ -367,6 +369,7 @@ def test_a_mistake_is_one_line_and_starts_no_study(swarmtwin, workshop, options,
     assert not (workshop / "outputs").exists()
 
 
+@pytest.mark.end_to_end
 def test_failures_of_two_workers_count(swarmtwin, workshop):
     hopeless = space(learning_rate="{low: 1.0e29, high: 1.0e30}")
     assert swarmtwin(*SEARCH, *hopeless, "model=mlp", "workers=2", "trials=3").status == 2

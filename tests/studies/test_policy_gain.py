@@ -96,6 +96,7 @@ def smallest(output, *changes):
     return Options.parse(OmegaConf.to_container(composed, resolve=True), "policy_gain")
 
 
+@pytest.mark.end_to_end
 def test_a_robot_is_recorded_diagnosed_and_its_policies_are_tried(tmp_path):
     output = tmp_path / "out"
     headline = run(smallest(output))

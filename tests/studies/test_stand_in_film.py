@@ -56,6 +56,7 @@ def test_the_commands_are_those_that_were_sent(robots, filmed):
         np.testing.assert_allclose(mine[["left", "right"]], footage.command[0, :, index])
 
 
+@pytest.mark.end_to_end
 def test_recorded_filmed_calibrated_and_tracked_it_is_the_recording_again(workplace, robots):
     assert run_command("record", ["vehicle=[1,2]", "runs=1", "steps=8", "film=10", "seed=3", "output=clip"]) == 0
     of_clip = ["commands=clip/commands.csv", "video=clip/video.mp4", "output=tracked"]

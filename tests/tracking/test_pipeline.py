@@ -276,6 +276,7 @@ def stale(folder, *targets):
     return {name for name, reasons in changed.items() if any("changed deps" in reason for reason in reasons)}
 
 
+@pytest.mark.end_to_end
 def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     table = pd.read_csv(repository / "artifacts" / "comparison" / "mgr" / "table.csv")
     assert set(table.model) == {"kinematic", "mlp", "crnet-S"}
@@ -286,6 +287,7 @@ def test_the_pipeline_runs_and_a_second_time_does_nothing(repository):
     assert reran(repository, *DRAWN) == set()
 
 
+@pytest.mark.end_to_end
 def test_metrics_are_shown_as_a_table_that_fits_a_window(repository):
     heading, *rows = dvc(repository, "metrics", "show", "artifacts/comparison/mgr/summary").strip().splitlines()
     figures = ["Path", "floor_mm", "open_loop_mm", "orientation_deg", "other_vehicle_mm", "position_mm"]
@@ -294,6 +296,7 @@ def test_metrics_are_shown_as_a_table_that_fits_a_window(repository):
     assert max(map(len, [heading, *rows])) < 140
 
 
+@pytest.mark.end_to_end
 def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     artifacts = repository / "artifacts" / "dynamics" / "mgr"
     before = {name: (artifacts / name / "history.csv").read_bytes() for name in ("kinematic", "mlp")}
@@ -304,17 +307,20 @@ def test_a_changed_model_reruns_only_that_model_and_the_comparison(repository):
     assert reran(repository, *DRAWN) == set()
 
 
+@pytest.mark.end_to_end
 def test_a_sentence_or_another_layout_makes_nothing_stale(repository):
     file = repository / "src" / "swarmtwin" / "geometry.py"
     file.write_text(f"# A sentence.\n{file.read_text().replace('def compose(', 'def  compose(  ')}\n# and another\n")
     assert reran(repository, *DRAWN) == {"code@mgr"}
 
 
+@pytest.mark.end_to_end
 def test_a_line_in_a_plot_draws_anew_and_computes_nothing(repository):
     add_line(repository / "src" / "swarmtwin" / "dynamics" / "error_plots.py")
     assert stale(repository, *DRAWN) == set(DRAWN)
 
 
+@pytest.mark.end_to_end
 def test_a_line_in_a_model_a_training_or_the_geometry_makes_stale_what_it_shapes(repository):
     source = repository / "src" / "swarmtwin"
     add_line(source / "dynamics" / "models" / "mlp.py")
@@ -332,6 +338,7 @@ def test_a_line_in_a_model_a_training_or_the_geometry_makes_stale_what_it_shapes
     assert stale(repository, "comparison@mgr") >= leading_there
 
 
+@pytest.mark.end_to_end
 def test_queued_experiments_compute_with_their_own_parameters(repository):
     """Each in a copy of the repository, two at a time; what they track is in the one MLflow store."""
     name, steps = "dynamics@mgr-mlp", (25, 35)
