@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from swarmtwin.commands.app import run_command
+from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.saved_diagnosis import read_result
 from swarmtwin.dynamics.evaluation import predict
@@ -227,7 +228,8 @@ def test_what_cannot_be_concluded_is_said_in_one_line(drives, tmp_path, options,
     assert not (tmp_path / "out").exists()
 
 
-def test_constant_commands_are_refused(drives, tmp_path, capfd):
+def test_constant_commands_are_refused_before_anything_is_learned(drives, tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr(Reference, "learn", None)
     constant = tmp_path / "constant"
     shutil.copytree(drives / "clean", constant)
     for file in (constant / "runs").glob("*.csv"):

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from swarmtwin.deploy.tracking.calibration import Calibration, Lens
 from swarmtwin.deploy.tracking.calibration_fit import FitSettings, MeasuredByHand
@@ -128,7 +129,7 @@ class Scenes:
     def true_calibration(self) -> Calibration:
         """Return the calibration that a perfect one would be."""
         optics = self.camera.optics
-        rotation_rad = cv2.Rodrigues(optics.rotation)[0].ravel()
+        rotation_rad = Rotation.from_matrix(optics.rotation).as_rotvec()  # OpenCV's own is rough near a half turn
         return Calibration(
             lens=Lens(
                 image_size=self.camera.size,
