@@ -16,6 +16,8 @@ EXPERIMENTS = {  # navigation's title of the pages that experiments wrote: where
     "The paper's tables and figures": "paper",
     "All models": "models",
     "All generators": "generators",
+    "Policies of ten seeds": "policy_seeds",
+    "The reality gap of simulations": "reality_gap",
     "Real robots": "creates",
 }
 

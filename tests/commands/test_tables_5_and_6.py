@@ -83,7 +83,7 @@ def test_the_table_holds_what_the_saved_policies_and_rollouts_yield(place, robot
     assert (table.rollouts == 10).all()
     assert (
         "| the paper's | CR-Net-S | -0.26 ± 0.04 |  | robots | -0.22 ± 0.04 | 100% | +0.04 |"
-        in (out / "table.md").read_text()
+        in (out / "report.md").read_text()
     )
     assert max(map(len, shown.splitlines())) <= 80
     assert "own_vehicle" in shown
@@ -116,7 +116,7 @@ def test_a_simulation_in_which_nothing_is_learned_is_a_result(place):
     found = metrics["simulations"]["CR-Net-S"]
     assert found["failed"] == "seed 1: it never succeeded in the final scenarios"
     assert set(found["policies"]) == {"scripted", "random"}
-    text = (place / "out" / "table.md").read_text()
+    text = (place / "out" / "report.md").read_text()
     assert "| learned | CR-Net-S | no policy |  |  |  |  | seed 1: it never succeeded" in text
     assert "| the paper's | CR-Net-S | -3.13 ± 0.26 |" in text
 
@@ -128,7 +128,7 @@ def test_two_underwater_robots_have_a_table_in_which_the_paper_has_no_line(place
     assert run_command("experiment", options) == 0
     table = pd.read_csv(place / "out" / "table.csv")
     assert set(table["where"]) == {"simulation", "own_vehicle", "other_vehicles", "other_floor"}
-    assert "| the paper's |" not in (place / "out" / "table.md").read_text()
+    assert "| the paper's |" not in (place / "out" / "report.md").read_text()
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,23 @@ def origin_of(source: str, simulation: Path) -> SimulationOrigin:
     )
 
 
+def provenance_of(job: PolicyJob, results: Sequence[SeedResult], origin: SimulationOrigin) -> PolicyProvenance:
+    """Say where the policy of the best of some seeds comes from, which all learned like `job`.
+
+    Raises:
+        UserError: every seed has failed.
+    """
+    outcomes = [SeedOutcome(seed=result.seed, best=result.best, failed=result.failed) for result in results]
+    return PolicyProvenance(
+        simulation=origin,
+        algorithm=job.algorithm.model_dump(mode="json"),
+        schedule=job.schedule.model_dump(mode="json"),
+        randomisation=job.randomisation.model_dump(mode="json") if job.randomisation else None,
+        seed=best_of(results).seed,
+        seeds=tuple(outcomes),
+    )
+
+
 def save_learned(
     folder: Path, task: Task, job: PolicyJob, results: Sequence[SeedResult], origin: SimulationOrigin
 ) -> PolicyProvenance:
@@ -46,15 +63,7 @@ def save_learned(
     of them whose reward is the median stands in `rollouts.npz`, to be shown.
     """
     best = best_of(results)
-    outcomes = [SeedOutcome(seed=result.seed, best=result.best, failed=result.failed) for result in results]
-    provenance = PolicyProvenance(
-        simulation=origin,
-        algorithm=job.algorithm.model_dump(mode="json"),
-        schedule=job.schedule.model_dump(mode="json"),
-        randomisation=job.randomisation.model_dump(mode="json") if job.randomisation else None,
-        seed=best.seed,
-        seeds=tuple(outcomes),
-    )
+    provenance = provenance_of(job, results, origin)
     policy = policy_of(task, job.algorithm, best)
     save_policy(folder, policy, task.config, task.arena, provenance)
     rollout = tested(task, job, policy)
@@ -62,7 +71,9 @@ def save_learned(
     metrics = {
         "test": plain_figures(figures_of(rollout)),
         "evaluation": provenance.evaluation.model_dump(),
-        "seeds": {str(outcome.seed): outcome.best.model_dump() if outcome.best else None for outcome in outcomes},
+        "seeds": {
+            str(outcome.seed): outcome.best.model_dump() if outcome.best else None for outcome in provenance.seeds
+        },
     }
     write_text(folder / "metrics.json", json.dumps(metrics, indent=1) + "\n")
     history_table(results).to_csv(folder / "history.csv", index=False, float_format="%.5f")

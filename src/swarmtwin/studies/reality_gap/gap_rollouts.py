@@ -55,12 +55,13 @@ def gap_rows(rollouts: PolicyRollouts) -> Iterator[dict[str, Any]]:
     """
     for simulation, simulated in rollouts.simulated.items():
         about = {"simulation": simulation, "policy": rollouts.policy}
-        yield {**about, "where": "simulation", **_figures(figures_of(simulated))}
+        yield {**about, "where": "simulation", **figure_columns(figures_of(simulated))}
         for where, real in rollouts.real.items():
-            yield {**about, "where": where, **_figures(figures_of(real)), **_gap(simulated, real)}
+            yield {**about, "where": where, **figure_columns(figures_of(real)), **_gap(simulated, real)}
 
 
-def _figures(figures: RolloutFigures) -> dict[str, Any]:
+def figure_columns(figures: RolloutFigures) -> dict[str, Any]:
+    """Return figures of roll-outs by column, a rate with the ends of its interval."""
     row: dict[str, Any] = {}
     for name, figure in figures._asdict().items():
         if isinstance(figure, Rate):

@@ -1,6 +1,7 @@
 """Tables 5 and 6 as a person reads them: rewards in simulation and on stand-ins, and the paper's own beside them."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pandas as pd
@@ -106,11 +107,13 @@ def gap_table(title: str, lines: Sequence[Line], rollouts: int) -> Table:
     return shown
 
 
-def gap_markdown(title: str, lines: Sequence[Line], rollouts: int) -> str:
-    """Return table.md."""
+def gap_markdown(title: str, lines: Sequence[Line], rollouts: int, pictures: Sequence[str]) -> str:
+    """Return report.md; `pictures` are names of files beside it."""
     rows = [HEADINGS, ("---",) * len(HEADINGS), *lines]
     table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    return f"# {title}\n\n{table}\n\n{caption(rollouts)}\n"
+    shown = "".join(f"\n![{Path(name).stem.replace('_', ' ')}]({name})\n" for name in pictures)
+    heading = title[:1].upper() + title[1:]
+    return f"# {heading}\n\n{table}\n\n{caption(rollouts)}\n{shown}"
 
 
 def caption(rollouts: int) -> str:

@@ -15,6 +15,7 @@ from swarmtwin.policies.learned_folder import history_table, origin_of, save_lea
 from swarmtwin.policies.policy_folder import SimulationOrigin, StoredPolicy, load_policy
 from swarmtwin.policies.training import PolicyJob, Schedule, SeedResult, learn_all, task_in
 from swarmtwin.simulation.evaluation import load_simulation
+from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.studies.reality_gap.options import GapOptions, LearningOptions
 from swarmtwin.tracking.model_source import model_folder
@@ -96,7 +97,7 @@ def learn_in(candidate: Candidate, options: LearningOptions, output: Path) -> Le
     Where all seeds have failed there is no policy: a simulation in which nothing can be learned is a result.
     """
     algorithm = algorithm_config(options.policy, "policy")
-    jobs = _jobs(candidate, options, algorithm, output / CHECKPOINTS)
+    jobs = policy_jobs(candidate, options, algorithm, output / CHECKPOINTS)
     with training_bars(
         f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}", algorithm.steps
     ) as report:
@@ -114,10 +115,24 @@ def learning_table(learned: Mapping[str, Learned]) -> pd.DataFrame:
     return pd.concat([one.history.assign(simulation=name) for name, one in learned.items()])
 
 
-def _jobs(
-    candidate: Candidate, options: LearningOptions, algorithm: AlgorithmConfig, checkpoints: Path
+def policy_jobs(
+    candidate: Candidate,
+    options: LearningOptions,
+    algorithm: AlgorithmConfig,
+    checkpoints: Path,
+    randomisation: Randomisation | None = None,
 ) -> list[PolicyJob]:
-    schedule = Schedule(steps=algorithm.steps, evaluate_every=options.evaluate_every, scenes=options.scenes)
+    """Return a job for each seed that learns in a simulation, going on from its checkpoint in a folder.
+
+    What `randomisation` says differs from roll-out to roll-out.
+    """
+    schedule = Schedule(
+        steps=algorithm.steps,
+        evaluate_every=options.evaluate_every,
+        scenes=options.scenes,
+        finalists=options.finalists,
+        final_scenes=options.final_scenes,
+    )
     first = PolicyJob(
         robot=options.robot,
         task=candidate.task.config,
@@ -131,6 +146,7 @@ def _jobs(
         device=options.device,
         tabulated=options.tabulated,
         table=options.table,
+        randomisation=randomisation,
     )
     seeds = range(options.seed, options.seed + options.seeds)
     return [first._replace(seed=seed, checkpoint=checkpoints / f"{candidate.name}-seed-{seed}.ckpt") for seed in seeds]

@@ -67,15 +67,18 @@ def measure_gaps(options: GapOptions, title: str) -> dict[str, Any]:
     ):
         learned = {candidate.name: learn_in(candidate, options, folder) for candidate in candidates}
         rollouts = _all_rollouts(options, candidates, learned, real)
-        _save(folder, options, title, candidates, learned, rollouts)
+        _save(folder, options, candidates, learned, rollouts)
         if recording:
             _save_open_loop(folder / "open_loop", candidates, recording)
         if options.pictures:
             draw_gaps(folder, folder)
-        _track(tracked, pd.read_csv(folder / "table.csv"))
+        table = pd.read_csv(folder / "table.csv")
+        lines = _lines(options, table, task, learned)
+        pictures = sorted(file.name for file in folder.glob("*.png"))
+        write_text(folder / "report.md", gap_markdown(title, lines, options.rollouts, pictures))
+        _track(tracked, table)
         tracked.folder(folder, "reality_gap")
-    table = pd.read_csv(options.output / "table.csv")
-    Console().print(gap_table(title, _lines(options, table, task, learned), options.rollouts))
+    Console().print(gap_table(title, lines, options.rollouts))
     Console().print(f"table, roll-outs, policies and pictures: {options.output}", highlight=False, soft_wrap=True)
     return {**_headline(table), "output": str(options.output)}
 
@@ -130,15 +133,12 @@ def _random_commands(options: GapOptions) -> Act:
 def _save(
     folder: Path,
     options: GapOptions,
-    title: str,
     candidates: Sequence[Candidate],
     learned: Mapping[str, Learned],
     rollouts: Sequence[PolicyRollouts],
 ) -> None:
     table = pd.DataFrame([row for one in rollouts for row in gap_rows(one)])
     table.to_csv(folder / "table.csv", index=False)
-    lines = _lines(options, table, candidates[0].task, learned)
-    write_text(folder / "table.md", gap_markdown(title, lines, options.rollouts))
     learning_table(learned).to_csv(folder / "learning.csv", index=False, float_format="%.5f")
     simulations = {
         candidate.name: {

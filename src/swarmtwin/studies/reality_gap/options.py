@@ -50,6 +50,8 @@ class LearningOptions(StrictModel):
     policy: dict[str, Any]
     evaluate_every: Count
     scenes: Count
+    finalists: Count
+    final_scenes: Count
     sampled: bool | None
     tabulated: bool | None
     table: TableSettings
