@@ -108,6 +108,18 @@ def test_equation_3_counts_every_near_neighbour_once_and_150_mm_is_not_near():
     assert task.reward(scenario, scenario.start)[0] == pytest.approx(target - 5 * np.array([1, 2, 1, 0]))
 
 
+def test_a_wall_costs_as_much_as_a_neighbour_where_walls_count():
+    pose = [(150.0, 500.0, 0.0), (149.0, 700.0, 0.0), (500.0, 1000.0, 0.0)]
+    earned = []
+    for near in (0, 150):
+        task = task_named("collective", vehicles=3, wall_near_mm=near)
+        scenario = one_world(task, pose, (900.0, 500.0))
+        earned.append(task.reward(scenario, scenario.start)[0])
+        compiled = task.measure_compiled(scenario, scenario.start).reward[0]
+        assert compiled == pytest.approx(earned[-1], abs=1e-4)
+    assert earned[1] - earned[0] == pytest.approx([0, -5, -5])
+
+
 def test_the_obstacles_reward_by_hand():
     task = task_named("obstacle")
     gone_wrong = one_world(task, [(300.0, 300.0, 0.0)], (300.0, 900.0), (300.0, 420.0, 80.0))

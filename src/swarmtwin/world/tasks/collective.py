@@ -38,11 +38,20 @@ class Collective(Group):
         """Return equation (3): what the target gives, or the distance from it, and what each near neighbour costs.
 
         r = r_target − 5 · (neighbours nearer than `neighbour_near_mm`), where r_target is −5 within `target_near_mm` of
-        the target and −20 · d / d_max at a distance d further away.
+        the target and −20 · d / d_max at a distance d further away. Where walls count, which they do not in the paper,
+        being nearer to one than `wall_near_mm` costs as much as a neighbour.
         """
         near_target = target_mm < self.config.target_near_mm
         target_reward = np.where(near_target, -5.0, -20.0 * target_mm / self.config.d_max_mm)
-        return target_reward - 5.0 * near_others
+        return target_reward - 5.0 * (near_others + self._near_wall(pose))
+
+    def _near_wall(self, pose: np.ndarray) -> np.ndarray:
+        """Return whether each vehicle is nearer to the arena's border than `wall_near_mm`, or beyond it, (W, K)."""
+        if not self.config.wall_near_mm:
+            return np.zeros(pose.shape[:-1], dtype=bool)
+        position = pose[..., :2]
+        inside = np.minimum(position - self.arena.low_mm, self.arena.high_mm - position)
+        return np.any(inside < self.config.wall_near_mm, axis=-1)
 
     def _draw_targets(self, rng: np.random.Generator, worlds: int) -> np.ndarray:
         """Draw targets (W, G, 2), each at least `targets_apart_mm` from the one before."""
@@ -83,6 +92,7 @@ class Config(GroupConfig):
         vehicles: K, at least 2.
         d_max_mm: of equation (3).
         target_near_mm: of equation (3): nearer to the target costs as much as being far from it.
+        wall_near_mm: nearer to the arena's border costs as much as a neighbour; 0: walls do not count.
         targets: how many are to be reached, one after the other.
         target_room: targets lie in the arena's inner part, this share of its sides.
         targets_apart_mm: least distance from one target to the next.
@@ -92,6 +102,7 @@ class Config(GroupConfig):
     vehicles: Annotated[int, Field(ge=2)]
     d_max_mm: Positive
     target_near_mm: NotNegative
+    wall_near_mm: NotNegative = 0.0
     targets: Count
     target_room: Share
     targets_apart_mm: NotNegative
