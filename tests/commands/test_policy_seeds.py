@@ -30,7 +30,7 @@ def place(workplace, robots):
 
 def tried(seed, simulated, real, failed=None):
     """Two lines of table.csv."""
-    figures = {"cpu_s": 7.0, "rollouts": 100, "collision": 0.01, "failed": failed}
+    figures = {"cpu_s": 7.0, "rollouts": 100, "collision": 0.01, "left_arena": 0.0, "failed": failed}
     return [
         {"seed": seed, **figures, "where": where, "success": share, "success_low": share - 0.02, "success_high": share}
         for where, share in (("simulation", simulated), ("other_vehicles", real))
@@ -53,7 +53,7 @@ def test_a_seed_that_diverged_is_told_and_does_not_count():
     failed = {"seed": 2, "cpu_s": None, "where": None, "failed": "its weights were no longer finite"}
     table = pd.DataFrame([*tried(1, 1.0, 1.0), failed])
     assert reached(table, ASKED).to_dict() == {1: True, 2: False}
-    assert seeds_table("title", table, ASKED).rows[1] == ["2", "", *[""] * 4, "its weights were no longer finite"]
+    assert seeds_table("title", table, ASKED).rows[1] == ["2", "", *[""] * 6, "its weights were no longer finite"]
     seeds_figure(table, ASKED)
 
 

@@ -40,7 +40,9 @@ def run(options: Options) -> dict[str, Any]:
     settings = options.model_dump(mode="json")
     check_output(options.output, "experiment", options.overwrite, [candidate.folder])
     name = f"{options.robot.name}-{candidate.task.config.name}-{algorithm.name}"
-    title = f"Policies of {options.seeds} seeds: {options.robot.title}, task {candidate.task.config.name}"
+    title = f"{algorithm.name.upper()}, {options.seeds} seeds: {options.robot.title}, task {candidate.task.config.name}"
+    if "previous_command" in candidate.simulation.dynamics.inputs:
+        title += ", in a simulation that is given the command before"
     given = [Dataset(candidate.folder, "simulation", candidate.origin.digest)]
     with (
         new_folder(

@@ -35,16 +35,17 @@ def seeds_table(title: str, table: pd.DataFrame, asked: Mapping[str, float]) -> 
         cells = [str(seed), "" if pd.isna(first.cpu_s) else f"{first.cpu_s:.0f} s"]
         for place in places:
             if place not in by_place.index:
-                cells += ["", ""]
+                cells += ["", "", ""]
                 continue
             line = by_place.loc[place]
             ends = f"{100 * line.success_low:.1f} to {100 * line.success_high:.1f}"
-            cells += [f"{100 * line.success:.1f} %\n{ends}", f"{100 * line.collision:.1f} %"]
+            cells += [f"{100 * line.success:.1f} %\n{ends}"]
+            cells += [f"{100 * line.collision:.1f} %", f"{100 * line.left_arena:.1f} %"]
         remark = first.failed if isinstance(first.failed, str) else ""
         rows.append([*cells, remark or ("yes" if does[seed] else "no")])
     headings = ["seed", "learning"]
     for place in places:
-        headings += [f"{_words(place)}:\nsuccess", "\ncollisions"]
+        headings += [f"{_words(place)}:\nsuccess", "\ncollisions", "\nleft the\narena"]
     return StudyTable(title, (*headings, "as asked"), rows, _caption(table, asked, does))
 
 
