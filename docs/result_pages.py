@@ -17,7 +17,6 @@ EXPERIMENTS = {  # navigation's title of the pages that experiments wrote: where
     "All models": "models",
     "All generators": "generators",
     "Policies of ten seeds": "policy_seeds",
-    "The reality gap of simulations": "reality_gap",
     "Real robots": "creates",
 }
 
