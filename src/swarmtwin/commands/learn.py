@@ -172,13 +172,7 @@ def _jobs(
     checkpoints: Path,
     randomisation: Randomisation | None,
 ) -> list[PolicyJob]:
-    schedule = Schedule(
-        steps=algorithm.steps,
-        evaluate_every=options.evaluate_every,
-        scenes=options.scenes,
-        finalists=options.finalists,
-        final_scenes=options.final_scenes,
-    )
+    schedule = Schedule.of(options, algorithm.steps)
     return [
         PolicyJob(
             robot=options.robot,

@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -67,6 +67,11 @@ class Schedule(StrictModel):
     scenes: Count
     finalists: Count = 3
     final_scenes: Count = 500
+
+    @classmethod
+    def of(cls, options: StrictModel, steps: int) -> Self:
+        """Return the schedule that options of a command ask for, which have fields of the same names but `steps`."""
+        return cls(steps=steps, **options.model_dump(include=cls.model_fields.keys() - {"steps"}))
 
 
 class SeedResult(NamedTuple):

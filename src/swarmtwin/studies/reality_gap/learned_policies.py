@@ -126,13 +126,7 @@ def policy_jobs(
 
     What `randomisation` says differs from roll-out to roll-out.
     """
-    schedule = Schedule(
-        steps=algorithm.steps,
-        evaluate_every=options.evaluate_every,
-        scenes=options.scenes,
-        finalists=options.finalists,
-        final_scenes=options.final_scenes,
-    )
+    schedule = Schedule.of(options, algorithm.steps)
     first = PolicyJob(
         robot=options.robot,
         task=candidate.task.config,
