@@ -159,6 +159,22 @@ def test_onnx_that_commands_something_else_is_not_written(policy):
     assert onnx_model(policy).SerializeToString() == onnx_model(policy).SerializeToString()
 
 
+def test_large_weights_round_more_and_are_written_all_the_same():
+    torch.manual_seed(0)
+    architecture = Architecture(layers=(128, 128), activation="relu", squashing="tanh")
+    policy = Policy(robot_named("mur"), tuple("abcdef"), architecture).eval()
+    with torch.no_grad():
+        for layer in policy.network:
+            if isinstance(layer, torch.nn.Linear):
+                layer.weight.mul_(20)
+    check_equal(onnx_model(policy).SerializeToString(), policy)
+    content = onnx_model(policy).SerializeToString()
+    with torch.no_grad():
+        policy.network[0].weight.mul_(1.001)
+    with pytest.raises(UserError, match="computes other commands as ONNX"):
+        check_equal(content, policy)
+
+
 def change(folder, **changes):
     path = folder / "policy.yaml"
     path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **changes}))
