@@ -124,7 +124,9 @@ def test_the_papers_figures_stand_under_ours_and_a_simulation_without_a_policy_s
     assert lines[0].gap == "seed 1: it never succeeded"
     assert lines[2][2:] == ("-0.32 ± 0.15", "", "robots", "-0.58 ± 0.20", "20%", "-0.26")
     assert lines[1].simulated_reward == f"{table.reward[0]:.2f} ± {table.reward_sd[0]:.2f}"
-    shown = gap_markdown("table 5", lines, COUNT).splitlines()
+    shown = gap_markdown("table 5", lines, COUNT, ["figure14_CR-Net-S.png"]).splitlines()
+    assert shown[0] == "# Table 5"
+    assert shown[-1] == "![figure14 CR-Net-S](figure14_CR-Net-S.png)"
     assert [row.count("|") for row in shown if row.startswith("|")] == [9] * 6
 
 
