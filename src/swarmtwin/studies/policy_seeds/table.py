@@ -93,6 +93,7 @@ def seeds_figure(table: pd.DataFrame, asked: Mapping[str, float]) -> Figure:
                 panel.axhline(100 * asked[place], color=color, linestyle="--", linewidth=0.8)
         lowest = 100 * min(float(table.success_low.min(skipna=True)), *asked.values(), 0.9)
         panel.set(xlabel="seed", xticks=range(len(seeds)), xticklabels=seeds)
-        panel.set(ylabel="success, %", ylim=(lowest - 3, 101))
+        room = 0.05 * (100 - lowest)  # for markers at the ends
+        panel.set(ylabel="success, %", ylim=(lowest - room, 100 + room))
         figure.legend(*panel.get_legend_handles_labels(), loc="outside lower center", ncols=len(places))
     return figure
