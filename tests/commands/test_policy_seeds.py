@@ -102,6 +102,14 @@ def test_broken_off_it_goes_on_and_says_no_time(place, monkeypatch):
     assert np.isnan(tables[1].cpu_s[tables[1].seed == 1]).all()  # it had been learned before
 
 
+def test_where_every_seed_diverges_it_is_one_line(place, capsys):
+    assert run_command("experiment", [*SEEDS, "policy.learning_rate=1e30"]) == 2
+    assert "every seed has failed (seed 1: its weights were no longer finite" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    assert not (place / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -14,6 +14,7 @@ from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import algorithm_config
 from swarmtwin.policies.learned_folder import history_table
 from swarmtwin.policies.rollout_comparison import check_count
+from swarmtwin.policies.training import best_of
 from swarmtwin.studies.policy_seeds.options import SIMULATION, Options
 from swarmtwin.studies.policy_seeds.seed_trial import SeedJob, SeedTrial
 from swarmtwin.studies.policy_seeds.table import draw_seeds, reached, seeds_table
@@ -30,7 +31,8 @@ def run(options: Options) -> dict[str, Any]:
 
     Raises:
         UserError: the simulation is missing or of another robot, it does not fit the task or what is to differ in it,
-            the stand-ins do not fit, there are too few roll-outs, or the output is taken.
+            the stand-ins do not fit, there are too few roll-outs, no seed leads to a policy that can be tried, or the
+            output is taken.
     """
     check_count(options.rollouts)
     algorithm = algorithm_config(options.policy, "policy")
@@ -64,6 +66,8 @@ def run(options: Options) -> dict[str, Any]:
         ]
         with training_bars(name, algorithm.steps) as report:
             trials = run_side_by_side(jobs, report, options.processes)
+        if not any(trial.figures for trial in trials):
+            best_of([trial.result for trial in trials])  # says why none can be tried
         table = pd.DataFrame([row for trial in trials for row in _rows(trial)])
         table.to_csv(folder / "table.csv", index=False, float_format="%.5f")
         history = history_table([trial.result for trial in trials])
