@@ -100,6 +100,8 @@ def test_broken_off_it_goes_on_and_says_no_time(place, monkeypatch):
     same = [table.drop(columns="cpu_s") for table in tables]
     pd.testing.assert_frame_equal(*same)
     assert np.isnan(tables[1].cpu_s[tables[1].seed == 1]).all()  # it had been learned before
+    reports = [(place / name / "report.md").read_text() for name in ("whole", "out")]
+    assert ["empty where it was broken off" in report for report in reports] == [False, True]
 
 
 def test_where_every_seed_diverges_it_is_one_line(place, capsys):

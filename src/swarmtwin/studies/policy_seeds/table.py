@@ -54,11 +54,12 @@ def _caption(table: pd.DataFrame, asked: Mapping[str, float], does: pd.Series) -
     least = " and ".join(f"{100 * share:g} % {_at(place)}" for place, share in asked.items())
     counts = table.groupby("where").rollouts.first()
     tried = ", ".join(f"{int(count)} {_at(str(place))}" for place, count in counts.items())
+    untimed = ", empty where it was broken off and went on" if table.cpu_s.isna().any() else ""
     return (
         f"{int(does.sum())} of {len(does)} seeds succeed in at least {least}, "
         f"so that another one does in {100 * rate.low:.0f} to {100 * rate.high:.0f} % of cases; new roll-outs of each "
         f"policy, by which nothing was chosen: {tried}; with 95 % intervals; learning: "
-        "processor time, evaluations included"
+        f"processor time, evaluations included{untimed}"
     )
 
 
