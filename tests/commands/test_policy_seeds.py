@@ -122,6 +122,7 @@ def test_where_every_seed_diverges_it_is_one_line(place, capsys):
         ("stand_ins.other_vehicles.vehicles=[]", "stand_ins.other_vehicles.vehicles"),
         ("+stand_ins.simulation={vehicles:[1]}", "'simulation' is where policies are learned"),
         ("randomisation={gain_change:{}}", "no range at all"),
+        ("starts=2", "policy.steps=40 leaves none to the one that goes on"),
     ],
 )
 def test_what_cannot_be_done_is_refused_before_anything_is_learned(place, capsys, change, words):

@@ -79,10 +79,10 @@ def test_gradient_steps_are_those_of_stable_baselines3(env, case):
 
 @pytest.mark.parametrize(("module", "name"), [(ddpg, "ddpg"), (td3, "td3")])
 def test_learning_is_that_of_stable_baselines3(folder, monkeypatch, module, name):
-    job = policy_job(folder, algorithm=small(name))
+    job = policy_job(folder, algorithm=small(name, exploration=0.2, last_exploration=0.2))
     lean = job.run(None)
     monkeypatch.setattr(module, f"Lean{name.upper()}", getattr(stable_baselines3, name.upper()))
-    monkeypatch.setattr(module, "gaussian", lambda env, spread: NormalActionNoise(np.zeros(2), np.full(2, spread)))
+    monkeypatch.setattr(module.Config, "noise", lambda self, env: NormalActionNoise(np.zeros(2), np.full(2, 0.2)))
     plain = job.run(None)
     rewards = [[evaluation.reward for evaluation in result.history] for result in (lean, plain)]
     assert rewards[0] == pytest.approx(rewards[1], rel=1e-4)
@@ -90,7 +90,7 @@ def test_learning_is_that_of_stable_baselines3(folder, monkeypatch, module, name
 
 
 def test_noise_is_that_of_one_noise_for_each_vehicle(env):
-    shared = SharedGaussianNoise(env, 0.3)
+    shared = SharedGaussianNoise(env, 0.3, 0.3, 100)
     one_each = VectorizedActionNoise(NormalActionNoise(np.zeros(2), np.full(2, 0.3)), env.num_envs)
     drawn = []
     for noise in (shared, one_each):
@@ -98,3 +98,24 @@ def test_noise_is_that_of_one_noise_for_each_vehicle(env):
         drawn.append([noise(), noise()])
     assert np.array_equal(*drawn)
     assert drawn[0][0].dtype == np.float32
+
+
+def test_noise_falls_evenly_over_the_training_and_then_stays(env):
+    noise = SharedGaussianNoise(env, 0.4, 0.1, 100)
+    assert noise.spread == 0.4
+    for step, spread in ((0, 0.4), (50, 0.25), (100, 0.1), (150, 0.1)):
+        noise.reach(step)
+        assert noise.spread == pytest.approx(spread)
+
+
+@pytest.mark.parametrize("name", ["ddpg", "td3"])
+def test_vehicles_explore_as_much_as_the_configuration_says_at_the_time(folder, name):
+    job = policy_job(folder, algorithm=small(name, steps=400, exploration=0.2, last_exploration=0.0))
+    learner = Learner(job)
+    learner.begin()
+    spreads = {}
+    for steps in (200, 400):
+        learner.learn_until(steps, None, lambda: None)
+        spreads[steps] = learner.algorithm.action_noise.spread
+    assert spreads[200] == pytest.approx(0.1, abs=0.002)
+    assert spreads[400] == pytest.approx(0.0, abs=0.002)

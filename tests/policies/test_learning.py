@@ -110,6 +110,65 @@ def test_an_interrupted_training_continues_to_the_same_numbers(folder, undisturb
     check_continues(job, tmp_path / "seed-1.ckpt", undisturbed(name), evaluations=2)
 
 
+def several_starts(folder, starts, every=20, seed=1):
+    job = policy_job(folder, algorithm=small("ddpg", steps=80), seed=seed, every=every)
+    return job._replace(schedule=job.schedule.model_copy(update={"starts": starts, "start_steps": 40}))
+
+
+def test_of_several_starts_the_one_with_the_highest_reward_goes_on(folder):
+    alone = []
+    for number in range(3):
+        learner = Learner(several_starts(folder, 1), number)
+        learner.begin()
+        learner.learn_until(80, None, lambda: None)
+        alone.append(learner.history)
+    after_starting = [history[1].reward for history in alone]
+    assert len(set(after_starting)) == 3
+    chosen = several_starts(folder, 3).run(None)
+    assert list(chosen.history) == alone[int(np.argmax(after_starting))]
+
+
+def test_several_starts_are_reported_as_one_training(folder):
+    job = several_starts(folder, 3)
+    reported = []
+    job.run(lambda seed, done, evaluation: reported.append(done))
+    assert reported == sorted(reported)
+    assert reported[-1] == job.schedule.all_steps == 160
+
+
+# while the first learns, at its end, while the second learns, at the last one's end, while the one that goes on does
+@pytest.mark.parametrize("evaluations", [1, 2, 3, 6, 7])
+def test_an_interrupted_training_with_several_starts_continues_to_the_same_numbers(folder, tmp_path, evaluations):
+    job = several_starts(folder, 3)._replace(checkpoint=tmp_path / "seed-1.ckpt")
+    whole = job._replace(checkpoint=None).run(None)
+
+    def kill_after_the_evaluations(seed, done, evaluation):
+        if done > 20 * evaluations:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        job.run(kill_after_the_evaluations)
+    seen = []
+    result = job.run(lambda seed, done, evaluation: seen.append(done))
+    assert min(seen) > 20 * evaluations
+    assert result.history == whole.history
+    assert same_weights(result, whole)
+
+
+def test_a_start_that_diverges_is_not_the_one_that_goes_on(folder, monkeypatch):
+    job = several_starts(folder, 2)
+    evaluate = Learner._evaluate
+
+    def break_the_first(learner):
+        evaluate(learner)
+        learner.diverged = learner.number == 0
+
+    monkeypatch.setattr(Learner, "_evaluate", break_the_first)
+    result = job.run(None)
+    assert result.failed is None or "finite" not in result.failed
+    assert [evaluation.step for evaluation in result.history] == [20, 40, 60, 80]
+
+
 @pytest.fixture
 def lossy(folder, monkeypatch):
     """A simulation in which commands are lost, actuators lag and motion varies, in place of the bare dynamics model."""
@@ -255,7 +314,9 @@ def test_a_seed_that_diverges_is_flagged_and_the_others_go_on(folder, caplog):
 def test_the_best_policy_is_kept_and_not_the_last(folder):
     job = policy_job(folder, task_named("obstacle", **EASY), quick(steps=300), every=50, scenes=20)
     learner = Learner(job)
-    result = learner.learn(None)
+    learner.begin()
+    learner.learn_until(job.schedule.steps, None, lambda: None)
+    result = learner.result()
     ranked = sorted(result.history, key=lambda evaluation: evaluation.rank, reverse=True)
     assert [finalist.evaluation for finalist in learner.finalists] == ranked[:3]
     scenarios = draw_scenarios(learner.task, 40, "evaluation", seed=1)

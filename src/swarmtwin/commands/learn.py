@@ -53,6 +53,8 @@ class Options(StrictModel):
     scenes: Annotated[int, Field(ge=1)]
     finalists: Annotated[int, Field(ge=1)]
     final_scenes: Annotated[int, Field(ge=1)]
+    starts: Annotated[int, Field(ge=1)]
+    start_steps: Annotated[int, Field(ge=1)]
     sampled: bool | None
     tabulated: bool | None
     table: TableSettings
@@ -96,7 +98,7 @@ def run(options: Options) -> dict[str, Any]:
     ):
         started = time.monotonic()
         jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS, randomisation)
-        with training_bars(name, algorithm.steps) as report:
+        with training_bars(name, jobs[0].schedule.all_steps) as report:
             results = learn_all(jobs, _tracking(tracked, report))
         provenance = save_learned(folder, task, jobs[0], results, origin)
         if options.pictures:

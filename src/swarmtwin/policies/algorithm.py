@@ -123,9 +123,21 @@ class OffPolicyConfig(AlgorithmConfig):
         }
 
 
-def gaussian(env: VecEnv, spread: float) -> ActionNoise:
-    """Return noise for exploration: normal, with standard deviation `spread` on actions of −1…1."""
-    return SharedGaussianNoise(env, spread)
+class ExploringConfig(OffPolicyConfig):
+    """An algorithm whose policy is deterministic, so that noise on its actions of −1…1 has to explore.
+
+    Attributes:
+        exploration: standard deviation of that noise in the beginning.
+        last_exploration: in the end; in between it goes straight from the one to the other. Vehicles that see others
+            move at random keep more distance than they will need.
+    """
+
+    exploration: Annotated[float, Field(ge=0)]
+    last_exploration: Annotated[float, Field(ge=0)]
+
+    def noise(self, env: VecEnv) -> ActionNoise:
+        """Return the noise of a training."""
+        return SharedGaussianNoise(env, self.exploration, self.last_exploration, self.steps)
 
 
 ALGORITHMS: PluginRegistry[AlgorithmConfig] = PluginRegistry(algorithms, "algorithm", group="policy")

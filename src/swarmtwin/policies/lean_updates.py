@@ -50,6 +50,8 @@ class LeanTD3(TD3):
         with torch.no_grad():
             action = self.actor(torch.as_tensor(self._last_obs, device=self.device)).cpu().numpy()
         if action_noise is not None:
+            if isinstance(action_noise, SharedGaussianNoise):
+                action_noise.reach(self.num_timesteps // n_envs)
             action = np.clip(action + action_noise(), -1.0, 1.0)
         return action, action
 
@@ -84,16 +86,25 @@ class SharedGaussianNoise(VectorizedActionNoise):
     """Noise for exploration: normal, drawn for all sub-environments at once.
 
     Attributes:
-        spread: its standard deviation, on actions of −1…1.
+        spread: its standard deviation now, on actions of −1…1.
+        first: in the beginning.
+        last: in the end.
+        steps: control periods over which it goes straight from the first to the last.
         shape: sub-environments and columns of an action.
     """
 
-    def __init__(self, env: VecEnv, spread: float) -> None:
+    def __init__(self, env: VecEnv, first: float, last: float, steps: int) -> None:
         assert env.action_space.shape is not None
-        self.spread = spread
+        self.spread = self.first = first
+        self.last = last
+        self.steps = steps
         self.shape = (env.num_envs, *env.action_space.shape)
         mean = np.zeros(env.action_space.shape)
-        super().__init__(NormalActionNoise(mean, np.full_like(mean, spread)), env.num_envs)
+        super().__init__(NormalActionNoise(mean, np.full_like(mean, first)), env.num_envs)
+
+    def reach(self, step: int) -> None:
+        """Take the standard deviation of a control period."""
+        self.spread = self.first + (self.last - self.first) * min(1.0, step / self.steps)
 
     def __call__(self) -> np.ndarray:
         """Return the noise of one control period, (sub-environments, m)."""

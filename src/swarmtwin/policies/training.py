@@ -6,7 +6,7 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from swarmtwin.learning.device import Device, one_thread, torch_device
 from swarmtwin.learning.parallel import run_side_by_side
 from swarmtwin.policies.algorithm import AlgorithmConfig
 from swarmtwin.policies.checkpoint import (
+    Content,
     algorithm_state,
     global_rng_kept,
     pack,
@@ -60,6 +61,9 @@ class Schedule(StrictModel):
         finalists: how many of a seed's policies, those that did best in an evaluation, are rolled out once more in the
             end: who was best of many in few scenarios was lucky as well.
         final_scenes: the scenarios in which, again the same ones for every seed.
+        starts: how many times each seed begins anew, with other networks, scenarios and noise. What a policy has found
+            early decides much of what it ends as, so that one of several is a better beginning than any one.
+        start_steps: control periods after which the start with the highest reward goes on alone; 1: there is but one.
     """
 
     steps: Count
@@ -67,11 +71,28 @@ class Schedule(StrictModel):
     scenes: Count
     finalists: Count = 3
     final_scenes: Count = 500
+    starts: Count = 1
+    start_steps: Count = 3000
+
+    @property
+    def all_steps(self) -> int:
+        """Control periods of all worlds that a seed learns for, with those of the starts that were given up."""
+        return self.steps + (self.starts - 1) * self.start_steps
 
     @classmethod
     def of(cls, options: StrictModel, steps: int) -> Self:
-        """Return the schedule that options of a command ask for, which have fields of the same names but `steps`."""
-        return cls(steps=steps, **options.model_dump(include=cls.model_fields.keys() - {"steps"}))
+        """Return the schedule that options of a command ask for, which have fields of the same names but `steps`.
+
+        Raises:
+            UserError: the starts leave no steps to the one that goes on.
+        """
+        schedule = cls(steps=steps, **options.model_dump(include=cls.model_fields.keys() - {"steps"}))
+        if schedule.starts > 1 and schedule.start_steps >= steps:
+            raise UserError(
+                f"start_steps: each of {schedule.starts} starts learns for {schedule.start_steps} control periods, and "
+                f"policy.steps={steps} leaves none to the one that goes on: lower start_steps, or raise policy.steps"
+            )
+        return schedule
 
 
 class SeedResult(NamedTuple):
@@ -130,7 +151,7 @@ class PolicyJob(NamedTuple):
     def run(self, report: LearningReport | None) -> SeedResult:
         """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
         with one_thread(), global_rng_kept():
-            return Learner(self).learn(report)
+            return _learn(self, report)
 
     @property
     def identity(self) -> str:
@@ -144,19 +165,27 @@ class PolicyJob(NamedTuple):
 
 
 class Learner:
-    """One training: its world, its algorithm, and what has come of it so far."""
+    """One start of a training: its world, its algorithm, and what has come of it so far.
 
-    def __init__(self, job: PolicyJob) -> None:
+    Attributes:
+        number: of the start, from 0.
+        steps_before: control periods that other starts have learned for by now.
+    """
+
+    def __init__(self, job: PolicyJob, number: int = 0) -> None:
         self.job = job
+        self.number = number
+        self.steps_before = number * job.schedule.start_steps
+        self._seed = _seed_of_start(job.seed, number)
         simulation = tabulated(load_simulation(job.simulation), job.table, job.tabulated)
         self.simulation = simulation.to(torch_device(job.device))
         self.task = job.task.build(job.robot, job.arena or self.simulation.conditions.arena_mm)
         worlds = job.algorithm.worlds
         vehicles = self.task.vehicles
-        self.motion = motion_in(self.simulation, worlds, vehicles, job.sampled, job.seed, job.randomisation)
-        world = World(self.task, self.motion, worlds, job.seed, compiled=True)
+        self.motion = motion_in(self.simulation, worlds, vehicles, job.sampled, self._seed, job.randomisation)
+        world = World(self.task, self.motion, worlds, self._seed, compiled=True)
         self.env = SharedPolicyEnv(world, reward_scale=1.0)
-        self.algorithm = job.algorithm.build(self.env, job.seed, torch_device(job.device).type)
+        self.algorithm = job.algorithm.build(self.env, self._seed, torch_device(job.device).type)
         self.algorithm.set_logger(Logger(folder=None, output_formats=[]))
         self.scenarios = draw_scenarios(self.task, job.schedule.scenes, "evaluation", seed=0)
         self.history: list[Evaluation] = []
@@ -175,14 +204,24 @@ class Learner:
         """Control periods trained."""
         return self.algorithm.num_timesteps // self.env.num_envs
 
-    def learn(self, report: LearningReport | None) -> SeedResult:
-        """Learn to the end of the schedule, from the checkpoint if there is one."""
-        if not self._continue():
-            self.scale_rewards()
-            self.env.begin()
-        while not self.diverged and self.steps_done < self.job.schedule.steps:
-            self._train_until_next_evaluation(report)
-            self._write_checkpoint()
+    @property
+    def reward(self) -> float:
+        """The mean reward of the policy in its last evaluation; −∞ where training diverged."""
+        return -math.inf if self.diverged else self.history[-1].reward
+
+    def begin(self) -> None:
+        """Begin from nothing."""
+        self.scale_rewards()
+        self.env.begin()
+
+    def learn_until(self, steps: int, report: LearningReport | None, keep: Callable[[], None]) -> None:
+        """Learn for so many control periods in all; after each evaluation, `keep` what has come of it."""
+        while not self.diverged and self.steps_done < steps:
+            self._train_until_next_evaluation(steps, report)
+            keep()
+
+    def result(self) -> SeedResult:
+        """Roll the finalists out, and return what came of this start."""
         best = self._best_finalist()
         weights = {name: tensor.numpy().copy() for name, tensor in best.weights.items()} if best else {}
         failed = self._why_failed(best)
@@ -191,19 +230,20 @@ class Learner:
     def scale_rewards(self) -> None:
         """Scale rewards by those of random play (as the authors' code does); let critics begin with its value."""
         robot, algorithm, world = self.job.robot, self.job.algorithm, self.env.world
-        rng = np.random.default_rng([self.job.seed, 1])
+        rng = np.random.default_rng([self._seed, 1])
         played = roll_out(world, lambda _: rng.uniform(robot.command_low, robot.command_high, world.shape))
         reward = float(played.mean_reward.mean())
         self.env.reward_scale = max(abs(reward), 1e-6) / algorithm.reward_size  # never a division by zero
         algorithm.expect(self.algorithm, reward / self.env.reward_scale / (1.0 - algorithm.gamma))
 
-    def _train_until_next_evaluation(self, report: LearningReport | None) -> None:
+    def _train_until_next_evaluation(self, steps_in_all: int, report: LearningReport | None) -> None:
         schedule, seed = self.job.schedule, self.job.seed
-        left = min(schedule.evaluate_every, schedule.steps - self.steps_done)
+        left = min(schedule.evaluate_every, steps_in_all - self.steps_done)
         at_a_time = self.job.algorithm.steps_at_a_time
         steps = math.ceil(left / at_a_time) * at_a_time
         last = self.history[-1] if self.history else None
-        callback = _ReportProgress(lambda done: report(seed, done, last), schedule.steps) if report else None
+        before = self.steps_before
+        callback = _ReportProgress(lambda done: report(seed, before + done, last), schedule.steps) if report else None
         try:
             self.algorithm.learn(steps * self.env.num_envs, callback, log_interval=None, reset_num_timesteps=False)  # type: ignore[arg-type]
         except (DivergedError, ValueError):
@@ -214,7 +254,7 @@ class Learner:
             return
         self._evaluate()
         if report:
-            report(seed, self.steps_done, self.history[-1])
+            report(seed, before + self.steps_done, self.history[-1])
 
     def _evaluate(self) -> None:
         """Roll the policy out from the evaluation scenarios; what is drawn there is the same every time."""
@@ -251,25 +291,21 @@ class Learner:
             return "it never succeeded in the final scenarios"
         return None
 
-    def _continue(self) -> bool:
-        """Continue from the checkpoint; return whether there was one."""
-        kept = read_checkpoint(self.job.checkpoint, self.job.identity, self.job.seed)
-        if not kept:
-            return False
-        self.history = [Evaluation(**evaluation) for evaluation in kept["history"]]
-        self.finalists = [_Candidate(Evaluation(**evaluation), weights) for evaluation, weights in kept["finalists"]]
-        self.diverged = kept["diverged"]
-        self.env.reward_scale = kept["reward_scale"]
-        self.motion.restore(unpack(kept["motion"]))
-        self.env.world.restore(unpack(kept["world"]))
-        restore_algorithm(self.algorithm, kept["algorithm"])
-        return True
+    def restore(self, state: Content) -> None:
+        """Continue from a `state` of the same start."""
+        self.history = [Evaluation(**evaluation) for evaluation in state["history"]]
+        self.finalists = [_Candidate(Evaluation(**evaluation), weights) for evaluation, weights in state["finalists"]]
+        self.diverged = state["diverged"]
+        self.env.reward_scale = state["reward_scale"]
+        self.motion.restore(unpack(state["motion"]))
+        self.env.world.restore(unpack(state["world"]))
+        restore_algorithm(self.algorithm, state["algorithm"])
 
-    def _write_checkpoint(self) -> None:
-        if self.job.checkpoint is None:
-            return
-        content: dict[str, Any] = {
-            "identity": self.job.identity,
+    def state(self) -> Content:
+        """Return all that learning goes on from."""
+        return {
+            "number": self.number,
+            "reward": self.reward,
             "history": [evaluation.model_dump() for evaluation in self.history],
             "finalists": [(evaluation.model_dump(), weights) for evaluation, weights in self.finalists],
             "diverged": self.diverged,
@@ -278,7 +314,50 @@ class Learner:
             "world": pack(self.env.world.state()),
             "algorithm": algorithm_state(self.algorithm),
         }
-        write_checkpoint(self.job.checkpoint, content)
+
+
+def _learn(job: PolicyJob, report: LearningReport | None) -> SeedResult:
+    """Learn with one seed to the end of its schedule, from the checkpoint if there is one."""
+    schedule = job.schedule
+    kept = read_checkpoint(job.checkpoint, job.identity, job.seed)
+    learner = _restored(job, kept["learner"]) if kept else _begun(job, 0)
+    leading: Content | None = kept.get("leading")  # of the starts before this one, that with the highest reward
+    chosen: bool = kept.get("chosen", schedule.starts == 1)
+
+    def keep() -> None:
+        if job.checkpoint is not None:
+            content = {"identity": job.identity, "learner": learner.state(), "leading": leading, "chosen": chosen}
+            write_checkpoint(job.checkpoint, content)
+
+    while not chosen:
+        learner.learn_until(schedule.start_steps, report, keep)
+        if leading is None or learner.reward > leading["reward"]:
+            leading = learner.state()
+        if learner.number + 1 < schedule.starts:
+            learner = _begun(job, learner.number + 1)
+        else:
+            learner = _restored(job, leading)
+            leading, chosen = None, True
+    learner.steps_before = schedule.all_steps - schedule.steps
+    learner.learn_until(schedule.steps, report, keep)
+    return learner.result()
+
+
+def _begun(job: PolicyJob, number: int) -> Learner:
+    learner = Learner(job, number)
+    learner.begin()
+    return learner
+
+
+def _restored(job: PolicyJob, state: Content) -> Learner:
+    learner = Learner(job, state["number"])
+    learner.restore(state)
+    return learner
+
+
+def _seed_of_start(seed: int, number: int) -> int:
+    """Return the seed of a start of a training: its own for the first one."""
+    return seed if number == 0 else int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 class _Candidate(NamedTuple):

@@ -7,22 +7,20 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv
 from torch import nn
 
-from swarmtwin.policies.algorithm import Count, OffPolicyConfig, gaussian
+from swarmtwin.policies.algorithm import Count, ExploringConfig
 from swarmtwin.policies.lean_updates import LeanTD3
 
 
-class Config(OffPolicyConfig):
+class Config(ExploringConfig):
     """`conf/policy/td3.yaml`.
 
     Attributes:
-        exploration: standard deviation of the noise on actions of −1…1.
         policy_delay: gradient steps of the critics for one of the actor.
         target_noise: standard deviation of the noise that smooths the target.
         target_noise_limit: where that noise is cut.
     """
 
     name: Literal["td3"]
-    exploration: Annotated[float, Field(ge=0)]
     policy_delay: Count
     target_noise: Annotated[float, Field(ge=0)]
     target_noise_limit: Annotated[float, Field(ge=0)]
@@ -31,7 +29,7 @@ class Config(OffPolicyConfig):
         """Return TD3 with Gaussian exploration."""
         return LeanTD3(
             **self.common(env, seed, device),
-            action_noise=gaussian(env, self.exploration),
+            action_noise=self.noise(env),
             policy_delay=self.policy_delay,
             target_policy_noise=self.target_noise,
             target_noise_clip=self.target_noise_limit,

@@ -45,6 +45,8 @@ def run(options: Options) -> dict[str, Any]:
     title = f"{algorithm.name.upper()}, {options.seeds} seeds: {options.robot.title}, task {candidate.task.config.name}"
     if "previous_command" in candidate.simulation.dynamics.inputs:
         title += ", in a simulation that is given the command before"
+    if options.starts > 1:
+        title += f", each the most promising of {options.starts} starts"
     given = [Dataset(candidate.folder, "simulation", candidate.origin.digest)]
     with (
         new_folder(
@@ -64,7 +66,7 @@ def run(options: Options) -> dict[str, Any]:
             )
             for learning in policy_jobs(candidate, options, algorithm, folder / CHECKPOINTS, randomisation)
         ]
-        with training_bars(name, algorithm.steps) as report:
+        with training_bars(name, jobs[0].learning.schedule.all_steps) as report:
             trials = run_side_by_side(jobs, report, options.processes)
         if not any(trial.figures for trial in trials):
             best_of([trial.result for trial in trials])  # says why none can be tried

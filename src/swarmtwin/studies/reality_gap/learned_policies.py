@@ -98,9 +98,8 @@ def learn_in(candidate: Candidate, options: LearningOptions, output: Path) -> Le
     """
     algorithm = algorithm_config(options.policy, "policy")
     jobs = policy_jobs(candidate, options, algorithm, output / CHECKPOINTS)
-    with training_bars(
-        f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}", algorithm.steps
-    ) as report:
+    told = f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}"
+    with training_bars(told, jobs[0].schedule.all_steps) as report:
         results = tuple(learn_all(jobs, report))
     if all(result.failed for result in results):
         return Learned(None, "; ".join(f"seed {result.seed}: {result.failed}" for result in results), results)

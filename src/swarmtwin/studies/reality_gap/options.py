@@ -52,6 +52,8 @@ class LearningOptions(StrictModel):
     scenes: Count
     finalists: Count
     final_scenes: Count
+    starts: Count
+    start_steps: Count
     sampled: bool | None
     tabulated: bool | None
     table: TableSettings
