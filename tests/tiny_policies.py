@@ -15,7 +15,8 @@ from swarmtwin.policies.algorithm import algorithm_config, algorithm_names
 from swarmtwin.policies.policy import Architecture, Policy
 from swarmtwin.policies.policy_folder import PolicyProvenance, SeedOutcome, SimulationOrigin, save_policy
 from swarmtwin.policies.rollout_comparison import Evaluation
-from swarmtwin.policies.training import PolicyJob, Schedule
+from swarmtwin.policies.schedule import Schedule
+from swarmtwin.policies.training import PolicyJob
 from swarmtwin.robot import Robot
 from swarmtwin.world.task import task_config
 

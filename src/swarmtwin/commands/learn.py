@@ -19,10 +19,10 @@ from swarmtwin.policies.learned_folder import origin_of, save_learned
 from swarmtwin.policies.policy_folder import PolicyProvenance, StoredPolicy, load_policy
 from swarmtwin.policies.reward_plots import draw_learning
 from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
+from swarmtwin.policies.schedule import Schedule
 from swarmtwin.policies.training import (
     LearningReport,
     PolicyJob,
-    Schedule,
     SeedResult,
     learn_all,
     task_in,

@@ -6,11 +6,10 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from pydantic import Field
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
@@ -30,8 +29,9 @@ from swarmtwin.policies.checkpoint import (
 )
 from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
+from swarmtwin.policies.schedule import Schedule
 from swarmtwin.policies.vector_env import DivergedError, SharedPolicyEnv
-from swarmtwin.robot import Arena, Robot, StrictModel
+from swarmtwin.robot import Arena, Robot
 from swarmtwin.simulation.displacement_table import TableSettings, tabulated
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
@@ -47,52 +47,6 @@ log = logging.getLogger(__name__)
 
 LearningReport = Callable[[int, int, Evaluation | None], None]
 """Called now and then with the seed, the control periods done, and the last evaluation."""
-
-Count = Annotated[int, Field(ge=1)]
-
-
-class Schedule(StrictModel):
-    """How long to learn, and how often to look how well.
-
-    Attributes:
-        steps: control periods of all worlds.
-        evaluate_every: control periods from one evaluation and checkpoint to the next.
-        scenes: scenarios in which each evaluation rolls the policy out, the same ones for every seed.
-        finalists: how many of a seed's policies, those that did best in an evaluation, are rolled out once more in the
-            end: who was best of many in few scenarios was lucky as well.
-        final_scenes: the scenarios in which, again the same ones for every seed.
-        starts: how many times each seed begins anew, with other networks, scenarios and noise. What a policy has found
-            early decides much of what it ends as, so that one of several is a better beginning than any one.
-        start_steps: control periods after which the start with the highest reward goes on alone; 1: there is but one.
-    """
-
-    steps: Count
-    evaluate_every: Count
-    scenes: Count
-    finalists: Count = 3
-    final_scenes: Count = 500
-    starts: Count = 1
-    start_steps: Count = 3000
-
-    @property
-    def all_steps(self) -> int:
-        """Control periods of all worlds that a seed learns for, with those of the starts that were given up."""
-        return self.steps + (self.starts - 1) * self.start_steps
-
-    @classmethod
-    def of(cls, options: StrictModel, steps: int) -> Self:
-        """Return the schedule that options of a command ask for, which have fields of the same names but `steps`.
-
-        Raises:
-            UserError: the starts leave no steps to the one that goes on.
-        """
-        schedule = cls(steps=steps, **options.model_dump(include=cls.model_fields.keys() - {"steps"}))
-        if schedule.starts > 1 and schedule.start_steps >= steps:
-            raise UserError(
-                f"start_steps: each of {schedule.starts} starts learns for {schedule.start_steps} control periods, and "
-                f"policy.steps={steps} leaves none to the one that goes on: lower start_steps, or raise policy.steps"
-            )
-        return schedule
 
 
 class SeedResult(NamedTuple):

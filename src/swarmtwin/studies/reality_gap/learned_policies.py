@@ -13,7 +13,8 @@ from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.learned_folder import history_table, origin_of, save_learned
 from swarmtwin.policies.policy_folder import SimulationOrigin, StoredPolicy, load_policy
-from swarmtwin.policies.training import PolicyJob, Schedule, SeedResult, learn_all, task_in
+from swarmtwin.policies.schedule import Schedule
+from swarmtwin.policies.training import PolicyJob, SeedResult, learn_all, task_in
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
