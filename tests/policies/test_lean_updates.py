@@ -119,3 +119,21 @@ def test_vehicles_explore_as_much_as_the_configuration_says_at_the_time(folder, 
         spreads[steps] = learner.algorithm.action_noise.spread
     assert spreads[200] == pytest.approx(0.1, abs=0.002)
     assert spreads[400] == pytest.approx(0.0, abs=0.002)
+
+
+@pytest.mark.parametrize(("kind", "actor_learns"), [(LeanDDPG, 7), (LeanTD3, 8)])
+def test_the_actor_waits_until_the_critic_has_learned(env, kind, actor_learns):
+    algorithm = built(kind, env, {})
+    algorithm.critic_updates = 6
+    moved = {}
+    for step in range(1, 9):
+        before = weights(algorithm)
+        algorithm.train(1, batch_size=64)
+        now = weights(algorithm)
+        moved[step] = {
+            part
+            for part in ("actor.", "critic.")
+            if any(not torch.equal(now[name], before[name]) for name in now if name.startswith(part))
+        }
+    assert all("critic." in parts for parts in moved.values())
+    assert next(step for step, parts in moved.items() if "actor." in parts) == actor_learns

@@ -130,10 +130,12 @@ class ExploringConfig(OffPolicyConfig):
         exploration: standard deviation of that noise in the beginning.
         last_exploration: in the end; in between it goes straight from the one to the other. Vehicles that see others
             move at random keep more distance than they will need.
+        critic_updates: gradient steps that the critics learn for before the actor begins.
     """
 
     exploration: Annotated[float, Field(ge=0)]
     last_exploration: Annotated[float, Field(ge=0)]
+    critic_updates: Annotated[int, Field(ge=0)]
 
     def noise(self, env: VecEnv) -> ActionNoise:
         """Return the noise of a training."""

@@ -23,7 +23,14 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 
 class LeanTD3(TD3):
-    """TD3, twin delayed DDPG (Fujimoto et al. 2018), with lean gradient steps."""
+    """TD3, twin delayed DDPG (Fujimoto et al. 2018), with lean gradient steps.
+
+    Attributes:
+        critic_updates: gradient steps that the critics learn for before the actor begins. A critic that knows nothing
+            yet can drive the actor's outputs to their limits within a hundred of them, where its gradient vanishes.
+    """
+
+    critic_updates = 0
 
     def train(self, gradient_steps: int, batch_size: int = 100) -> None:
         """Do gradient steps, each with a minibatch of its own."""
@@ -36,8 +43,9 @@ class LeanTD3(TD3):
             wanted = self._wanted_value(batch)
             self._critic_vector.descend(torch.stack([F.mse_loss(value, wanted) for value in values]).sum())
             if self._n_updates % self.policy_delay == 0:
-                chosen = self.actor(batch.observations)
-                self._actor_vector.descend(-self.critic.q1_forward(batch.observations, chosen).mean())
+                if self._n_updates > self.critic_updates:
+                    chosen = self.actor(batch.observations)
+                    self._actor_vector.descend(-self.critic.q1_forward(batch.observations, chosen).mean())
                 self._critic_vector.lead(self._critic_target_vector, self.tau)
                 self._actor_vector.lead(self._actor_target_vector, self.tau)
 

@@ -17,7 +17,9 @@ class Config(ExploringConfig):
 
     def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return DDPG with Gaussian exploration."""
-        return LeanDDPG(**self.common(env, seed, device), action_noise=self.noise(env))
+        algorithm = LeanDDPG(**self.common(env, seed, device), action_noise=self.noise(env))
+        algorithm.critic_updates = self.critic_updates
+        return algorithm
 
     def actor(self, algorithm: Any) -> nn.Module:
         """Return the actor."""

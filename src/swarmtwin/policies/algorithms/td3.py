@@ -27,13 +27,15 @@ class Config(ExploringConfig):
 
     def build(self, env: VecEnv, seed: int, device: str) -> BaseAlgorithm:
         """Return TD3 with Gaussian exploration."""
-        return LeanTD3(
+        algorithm = LeanTD3(
             **self.common(env, seed, device),
             action_noise=self.noise(env),
             policy_delay=self.policy_delay,
             target_policy_noise=self.target_noise,
             target_noise_clip=self.target_noise_limit,
         )
+        algorithm.critic_updates = self.critic_updates
+        return algorithm
 
     def actor(self, algorithm: Any) -> nn.Module:
         """Return the actor."""
