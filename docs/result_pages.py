@@ -17,6 +17,7 @@ EXPERIMENTS = {  # navigation's title of the pages that experiments wrote: where
     "All models": "models",
     "All generators": "generators",
     "Policies of ten seeds": "policy_seeds",
+    "Policies in several simulations": "reality_gap",
     "Real robots": "creates",
 }
 
