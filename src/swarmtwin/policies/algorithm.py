@@ -134,8 +134,8 @@ class ExploringConfig(OffPolicyConfig):
     """
 
     exploration: Annotated[float, Field(ge=0)]
-    last_exploration: Annotated[float, Field(ge=0)]
-    critic_updates: Annotated[int, Field(ge=0)]
+    last_exploration: Annotated[float, Field(ge=0)] = 0.05
+    critic_updates: Annotated[int, Field(ge=0)] = 0
 
     def noise(self, env: VecEnv) -> ActionNoise:
         """Return the noise of a training."""
