@@ -65,11 +65,11 @@ def folders(workplace):
 
 
 def test_missing_inputs_are_answered_before_anything_that_computes_is_imported(folders):
-    script = "import json, shlex, sys, time; from swarmtwin.commands.app import run_command\n"
+    script = "import json, shlex, sys; from swarmtwin.commands.app import run_command\n"
     script += "for line in json.load(sys.stdin):\n"
-    script += "    name, *options = shlex.split(line)\n    began = time.process_time()\n"
+    script += "    name, *options = shlex.split(line)\n"
     script += "    status = run_command(name, options)\n"
-    script += f"    print(int(status), time.process_time() - began, sorted({HEAVY!r} & sys.modules.keys()), flush=True)"
+    script += f"    print(int(status), sorted({HEAVY!r} & sys.modules.keys()), flush=True)"
     commands = [command for command, _ in MISTAKES]
     answer = subprocess.run(
         [sys.executable, "-c", script], input=json.dumps(commands), capture_output=True, text=True, check=True
@@ -77,10 +77,9 @@ def test_missing_inputs_are_answered_before_anything_that_computes_is_imported(f
     for (command, message), shown, error in zip(
         MISTAKES, answer.stdout.splitlines(), answer.stderr.splitlines(), strict=True
     ):
-        status, cpu_s, heavy = shown.split(maxsplit=2)
+        status, heavy = shown.split(maxsplit=1)
         assert message in error, command
         assert (status, heavy) == ("2", "[]"), command
-        assert float(cpu_s) < 1, command
     assert {path.name for path in folders.iterdir()} == {"good", "without_runs", "empty", "model", "pipe"}
 
 

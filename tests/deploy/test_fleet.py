@@ -60,6 +60,37 @@ class Viewer:
         return arrived_s, stamp_s, cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
 
 
+class Watch:
+    """Where the vehicles of a fleet are, all the time: when a picture arrives, another motion may be under way."""
+
+    def __init__(self, fleet):
+        self._fleet, self._seen, self._over = fleet, [], threading.Event()
+        self._thread = threading.Thread(target=self._look)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._over.set()
+        self._thread.join()
+
+    def _look(self):
+        while not self._over.wait(0.005):
+            now_s = time.monotonic()
+            poses = np.array([*self._fleet.true_poses(now_s).values()])
+            if time.monotonic() - now_s < 0.002:
+                self._seen.append((now_s, poses))
+
+    def poses(self, time_s):
+        """The poses (V, 3) at a monotonic time, of vehicles whose headings do not jump."""
+        assert wait_until(lambda: self._seen[-1][0] > time_s)
+        times_s, poses = (np.array(some) for some in zip(*self._seen, strict=True))
+        later = np.searchsorted(times_s, time_s)
+        share = (time_s - times_s[later - 1]) / (times_s[later] - times_s[later - 1])
+        return poses[later - 1] + share * (poses[later] - poses[later - 1])
+
+
 def markers(picture):
     """The markers in a picture: corners (4, 2) by id."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -146,17 +177,17 @@ def test_pictures_show_the_vehicles_where_they_are_when_they_are_taken(robots, s
     viewer = Viewer(fleet.camera_url)
     drive(link, fleet, STRAIGHT)
     eye = OverheadCamera(robots["mgr"], tuple("123"), CameraConditions())
-    time.sleep(0.5)
     off_by_px = []
-    for _ in range(5):
-        clocks_s = time.monotonic() - time.time()
-        arrived_s, stamp_s, picture = viewer.next()
-        assert 0 < arrived_s - stamp_s < 0.5
-        true = fleet.true_poses(stamp_s + clocks_s)
-        found = markers(picture)
-        for vehicle, pose in true.items():
-            seen = eye.optics.project(np.append(eye.marker_poses(pose[None])[0, :2], 45.0)[None])[0]
-            off_by_px.append(np.linalg.norm(found[int(vehicle)].mean(axis=0) - seen))
+    with Watch(fleet) as watch:
+        time.sleep(0.5)
+        for _ in range(5):
+            clocks_s = time.monotonic() - time.time()
+            arrived_s, stamp_s, picture = viewer.next()
+            assert 0 < arrived_s - stamp_s < 0.5
+            found = markers(picture)
+            for vehicle, pose in zip(fleet.vehicles, watch.poses(stamp_s + clocks_s), strict=True):
+                seen = eye.optics.project(np.append(eye.marker_poses(pose[None])[0, :2], 45.0)[None])[0]
+                off_by_px.append(np.linalg.norm(found[int(vehicle)].mean(axis=0) - seen))
     assert np.median(off_by_px) < 0.5
     stamps_s = np.array([one[1] for one in viewer.pictures])
     assert (len(stamps_s) - 1) / (stamps_s[-1] - stamps_s[0]) < 31

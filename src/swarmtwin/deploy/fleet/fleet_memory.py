@@ -55,6 +55,7 @@ class FleetMemory:
         self._known = self._rows.copy()
         self._orders_at = rows_bytes
         self._writing = threading.Lock()
+        self._reading = threading.Lock()
 
     def write(
         self,
@@ -85,17 +86,18 @@ class FleetMemory:
         row[0] += 1
 
     def read(self, tries: int = 50) -> np.ndarray:
-        """Return all rows (V, columns and command), none of them torn."""
+        """Return all rows (V, columns and command), none torn; several threads of a process may read at once."""
         torn = np.ones(len(self.vehicles), bool)
-        for _ in range(tries):
-            before = self._rows[:, 0].copy()
-            rows = self._rows.copy()
-            whole = torn & (before == rows[:, 0]) & (before == self._rows[:, 0]) & (before % 2 == 0)
-            self._known[whole] = rows[whole]
-            torn &= ~whole
-            if not torn.any():
-                break
-        return self._known.copy()
+        with self._reading:
+            for _ in range(tries):
+                before = self._rows[:, 0].copy()
+                rows = self._rows.copy()
+                whole = torn & (before == rows[:, 0]) & (before == self._rows[:, 0]) & (before % 2 == 0)
+                self._known[whole] = rows[whole]
+                torn &= ~whole
+                if not torn.any():
+                    break
+            return self._known.copy()
 
     def poses(self, time_s: float) -> np.ndarray:
         """Return the true poses (V, 3) at a time on the monotonic clock, headings not wrapped."""
