@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from diagnosis_factories import made_result, made_session
 
-from swarmtwin.diagnosis.gains import Errors, likelihood_gain, not_confirmed, pieces, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, gain_by_loss, likelihood_gain, not_confirmed, pieces, scored_tracks
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
 from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
+from swarmtwin.simulation.mechanisms import command_loss
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.standin.session import StandInSession
 from swarmtwin.studies.stand_in_recording import record
@@ -184,3 +185,27 @@ def test_more_random_motion_is_judged_beside_what_the_reference_s_own_motion_sho
     extended = SimpleNamespace(mechanisms=(), noise_factor=1.25)
     gain = likelihood_gain(held_out, extended, 100, np.random.default_rng(1), usual=0.9)
     assert (gain.before, gain.after) == pytest.approx(((0.9 - 1.125) ** 2, 0.0))
+
+
+def test_runs_without_a_lost_command_do_not_deny_that_some_are_lost():
+    """The held-out runs hold none, and would deny it alone; each of the others holds one."""
+
+    def held(runs, nats):
+        def evaluate(mechanisms):
+            told = np.zeros(40 * len(runs))
+            if mechanisms:
+                share = mechanisms[0].probability
+                told += np.log1p(-share)
+                told[::40] = nats + np.log(share / 0.025)
+            return SimpleNamespace(log_likelihood=told)
+
+        return SimpleNamespace(evaluate=evaluate, session=SimpleNamespace(run=np.repeat(runs, 40)))
+
+    fitted, unfitted = held(np.arange(30), 20.0), held(np.arange(30, 40), 0.0)
+    loss, rng = command_loss.Config(probability=0.025), np.random.default_rng(1)
+    alone = likelihood_gain(unfitted, SimpleNamespace(mechanisms=(loss,), noise_factor=1.0), 1000, rng)
+    assert alone.high < 0
+    together = gain_by_loss(fitted, unfitted, loss, 3, 1000, rng)
+    assert together.low > 0
+    assert together.before - together.after == pytest.approx((30 * 20.0 + 39 * 40 * np.log1p(-0.025)) / 1600)
+    assert not gain_by_loss(held(np.arange(30), -2.0), unfitted, loss, 3, 1000, rng).low > 0

@@ -154,6 +154,32 @@ def test_beside_a_cause_that_may_do_nothing_the_others_are_estimated_anew(robots
 
 
 @pytest.mark.parametrize(
+    ("both", "sag_left", "named"),
+    [
+        (60.8, NOTHING_LEFT, ("battery_sag",)),  # a lag that is not sure ends where lags do: the rest does without it
+        (60.8, LeftOver(90.0, 0.0), ()),  # and does not explain the session
+        (70.0, NOTHING_LEFT, ()),  # a lag that is sure: beyond the end it, or another cause, may fit better
+    ],
+)
+def test_an_unsure_cause_at_an_end_does_not_keep_the_others_from_being_named(
+    robots, monkeypatch, both, sag_left, named
+):
+    posterior = posterior_of(battery_sag=(57.0, 1), battery_sag_and_actuator_lag=(both, 1))
+    lag = ("time_constant_s", robots["mgr"].period_s - 0.001, 0.01)
+
+    def explained_by(mechanisms, model, posterior, usual):
+        known = {"battery_sag": SAG, "actuator_lag": lag}
+        names = [one.name for one in mechanisms]
+        left = NOTHING_LEFT if len(names) == 2 else sag_left
+        return explanation_of(robots["mgr"], {name: known[name] for name in names}, posterior, left=left)
+
+    start = explanation_of(robots["mgr"], {"battery_sag": SAG, "actuator_lag": lag}).best
+    monkeypatch.setattr(CausePosterior, "best", start)
+    monkeypatch.setattr("swarmtwin.diagnosis.explanation._explained_by", explained_by)
+    assert explanation(None, posterior).names == named
+
+
+@pytest.mark.parametrize(
     ("gained", "most", "verdict", "may_be_chance"),
     [
         (300.0, 0.0, "explained", False),

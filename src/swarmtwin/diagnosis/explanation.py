@@ -76,16 +76,16 @@ class Explanation:
         return self._is_too_much(self.left.by_situation, self.left.by_history)
 
     @cached_property
-    def _is_at_an_end(self) -> bool:
-        """Whether a parameter cannot be told from an end of its range where the cause does something, and is near it.
+    def at_an_end(self) -> frozenset[str]:
+        """The causes of which a parameter cannot be told from an end of its range where they do something, and is near.
 
         Beyond it the cause may fit better, or another one that this one stands for.
         """
         nearest = self.model.settings.verdict.nearest_end
-        return any(
-            abs(value - end) <= min(reach, nearest * parameter.size)
-            for _, parameter, value, reach in self._estimates()
-            for end in parameter.doubted
+        return frozenset(
+            name
+            for name, parameter, value, reach in self._estimates()
+            if any(abs(value - end) <= min(reach, nearest * parameter.size) for end in parameter.doubted)
         )
 
     @cached_property
@@ -115,24 +115,29 @@ class Explanation:
         return lasts or by_situation > self.alarm + settings.most_left * gained
 
     @property
+    def sure(self) -> tuple[str, ...]:
+        """The causes that lead, where they or one of their rivals are sure to be there."""
+        settings, posterior = self.model.settings.search, self.posterior
+        found = []
+        for name in self.best.names:
+            rivals = posterior.rivals(name, settings.rival_from)
+            is_leading = posterior.probability(name) >= settings.reported_from
+            if is_leading and posterior.probability(name, *rivals) >= settings.named_from:
+                found.append(name)
+        return tuple(found)
+
+    @property
     def names(self) -> tuple[str, ...]:
-        """The causes that are named: one that leads, where it or one of its rivals is sure to be there.
+        """The causes that are named: those that are sure.
 
         None where much is left, be it the simulation's uncertainty, where that may gain as much, where a value may
         lie at the end of what it can be, or where it takes many causes: a name would be made up. One that may as well
         do nothing is not among the causes any more.
         """
-        settings, posterior = self.model.settings.search, self.posterior
-        takes_many = len(posterior.best.names) > settings.most_causes
-        if self._may_be_something_left or self.is_uncertain or self._is_at_an_end or takes_many:
+        takes_many = len(self.posterior.best.names) > self.model.settings.search.most_causes
+        if self._may_be_something_left or self.is_uncertain or self.at_an_end or takes_many:
             return ()
-        named = []
-        for name in self.best.names:
-            rivals = posterior.rivals(name, settings.rival_from)
-            is_leading = posterior.probability(name) >= settings.reported_from
-            if is_leading and posterior.probability(name, *rivals) >= settings.named_from:
-                named.append(name)
-        return tuple(named)
+        return self.sure
 
     @property
     def names_motion_noise(self) -> bool:
@@ -160,7 +165,8 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
     """Look at what the best causes leave of a session.
 
     Causes that may as well do nothing are left out, and the others estimated without them: the values of two that make
-    up for each other mean nothing one by one.
+    up for each other mean nothing one by one. So is one that is not sure and ends where its values do, if the others
+    explain the session without it.
 
     Args:
         model: of the fitted runs.
@@ -173,6 +179,10 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
         kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name in found.telling]
         likelier = posterior.is_likelier_than_nothing([mechanism.name for mechanism in kept])
         found = _explained_by(kept if likelier else (), model, posterior, usual)
+    if found.at_an_end and found.sure and found.at_an_end.isdisjoint(found.sure):
+        kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name not in found.at_an_end]
+        without = _explained_by(kept, model, posterior, usual)
+        return without if without.names else found
     return found
 
 

@@ -9,13 +9,13 @@ import torch
 
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import Explanation
-from swarmtwin.diagnosis.gains import Errors, Gains, gains, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, Gains, gain_by_loss, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.simulation.mechanism import Mechanism, offered
-from swarmtwin.simulation.mechanisms import noise_change
+from swarmtwin.simulation.mechanisms import command_loss, noise_change
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import Transitions
@@ -96,7 +96,11 @@ class HeldOutRuns:
         if not extended:
             return HeldOutJudgement(None, errors, gain, None)
         usual, rng = explained.motion_noise.usual, np.random.default_rng(self.seed)
-        likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
+        if [type(one) for one in explained.mechanisms] == [command_loss.Config] and extended.noise_factor == 1.0:
+            parts, (loss,) = settings.held_out_every - 1, explained.mechanisms
+            likelihood = gain_by_loss(explained.model, self.unfitted, loss, parts, settings.gain_draws, rng)
+        else:
+            likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
         moves = extended.residual is not None or bool(arriving(explained.mechanisms))
         return HeldOutJudgement(extended, errors, gain, not_confirmed(gain, likelihood, settings.immaterial, moves))
 

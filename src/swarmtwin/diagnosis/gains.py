@@ -11,6 +11,8 @@ from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.recordings.recording import Recording, Track
+from swarmtwin.simulation.mechanism import Mechanism
+from swarmtwin.simulation.mechanisms import command_loss
 from swarmtwin.simulation.open_loop import OpenLoop, open_loop
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import Transitions
@@ -142,11 +144,52 @@ def likelihood_gain(
     """
     mechanisms, factor = extended.mechanisms, extended.noise_factor
     if factor == 1.0:
-        before, after = (-unfitted.evaluate(taken).log_likelihood for taken in ((), mechanisms))
+        before, after = _unlikely(unfitted), _unlikely(unfitted, mechanisms)
     else:
         taken_with = (((), usual), (mechanisms, usual * factor))
         before, after = (-unfitted.log_likelihood_with_motion_noise(*taken) for taken in taken_with)
     return _gain(before, after, unfitted.session.run, draws, rng)
+
+
+def gain_by_loss(
+    fitted: SessionLikelihood,
+    unfitted: SessionLikelihood,
+    loss: command_loss.Config,
+    parts: int,
+    draws: int,
+    rng: np.random.Generator,
+) -> Gain:
+    """Compare likewise how unlikely any transition is without and with lost commands, each by others than itself.
+
+    Where few commands are lost, few runs hold one, and those that are held out may have none. So each part of the other
+    runs is held out in turn, with that probability of a grid around the estimated one which makes the other parts the
+    likeliest.
+
+    Args:
+        fitted: of the runs that the probability was estimated in.
+        unfitted: of the held-out runs.
+        loss: with the probability that was estimated.
+        parts: into which the fitted runs are cut.
+        draws: bootstraps over runs.
+        rng: of these.
+    """
+    shares = np.clip(loss.probability * np.geomspace(0.25, 4.0, 9), 0.0, 0.9)
+    by_share = np.stack([_unlikely(fitted, [command_loss.Config(probability=float(share))]) for share in shares])
+    part = np.unique(fitted.session.run, return_inverse=True)[1] % parts
+    chosen = np.array([by_share[:, part != number].sum(axis=1).argmin() for number in range(parts)])
+    after = by_share[chosen[part], np.arange(len(part))]
+    return _gain(
+        np.concatenate([_unlikely(fitted), _unlikely(unfitted)]),
+        np.concatenate([after, _unlikely(unfitted, [loss])]),
+        np.concatenate([fitted.session.run, unfitted.session.run]),
+        draws,
+        rng,
+    )
+
+
+def _unlikely(model: SessionLikelihood, mechanisms: Sequence[Mechanism] = ()) -> np.ndarray:
+    """Return (N,) negative log-likelihoods of a session's transitions."""
+    return -model.evaluate(mechanisms).log_likelihood
 
 
 def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float, moves: bool = True) -> str | None:

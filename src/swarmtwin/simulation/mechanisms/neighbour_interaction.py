@@ -31,12 +31,15 @@ class Config(Mechanism):
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
-        """Look for reaches from half a vehicle to half an arena."""
+        """Look for reaches from half a vehicle to half an arena, and for up to four times the speed of full commands.
+
+        That speed is what vehicles at the same place would push each other with, so that none is ever seen.
+        """
         length = max(robot.vehicle_size_mm)
         least = float(min(conditions.arena_mm.high_mm - conditions.arena_mm.low_mm))
         high = 2 * robot.largest_displacement.forward_mm / robot.period_s
         return {
-            "strength_mm_s": Parameter(-high, high, 0.0, "mm/s", (0.1 * high,), 0.005 * high),
+            "strength_mm_s": Parameter(-2 * high, 2 * high, 0.0, "mm/s", (0.1 * high,), 0.005 * high),
             "reach_mm": Parameter(0.4 * length, 0.5 * least, None, "mm", (0.8 * length, 2 * length), 0.01 * length),
         }
 
