@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.geometry import compose, exp_map, log_map
+from swarmtwin.geometry import exp_map, log_map
+from swarmtwin.simulation.arcs import moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
 
 Supply = Callable[[Tensor], Tensor]
@@ -230,7 +231,7 @@ def composed(pieces: Iterable[tuple[float, Tensor]]) -> Tensor:
     (share, twist), *others = pieces
     moved = exp_map(twist * share)
     for share, twist in others:
-        moved = compose(moved, exp_map(twist * share))
+        moved = moved_along(moved, twist, share)
     return moved
 
 

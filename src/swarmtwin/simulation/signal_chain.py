@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, rotate
+from swarmtwin.simulation.arcs import moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.efforts import scaled_by_effort, slowed
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
@@ -154,7 +155,7 @@ def period_motion(
         displacement = exp_map(log_map(displacement) + motion.correction)
     if _follow_clock(mechanisms):
         more = moment.duration_s / moment.robot.period_s - 1
-        displacement = compose(displacement, exp_map(end * more[:, None]))
+        displacement = moved_along(displacement, end * more[:, None])
     return PeriodMotion(_carried_along(mechanisms, displacement, twists), motion.memory)
 
 
@@ -199,12 +200,12 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
         return composed(motion.pieces), motion.end
     pose, end, factor = moment.pose, motion.end, None
     for share, twist in motion.pieces:
-        middle = compose(pose, exp_map(twist * (share / 2)))
+        middle = moved_along(pose, twist, share / 2)
         factor = torch.ones(len(middle), 1, dtype=torch.float64)
         for mechanism in gripping:
             traction = _traction(mechanism, middle, moment)
             factor = factor if traction is None else factor * traction
-        pose = compose(pose, exp_map(slowed(twist, factor, moment.track_mm) * share))
+        pose = moved_along(pose, slowed(twist, factor, moment.track_mm), share)
     moved = displacement_between(moment.pose, pose)
     return moved, end if factor is None else slowed(end, factor, moment.track_mm)
 
