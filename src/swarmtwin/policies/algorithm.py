@@ -129,12 +129,12 @@ class ExploringConfig(OffPolicyConfig):
     Attributes:
         exploration: standard deviation of that noise in the beginning.
         last_exploration: in the end; in between it goes straight from the one to the other. Vehicles that see others
-            move at random keep more distance than they will need.
+            move at random keep more distance than they will need; but where noise falls early, some never find the way.
         critic_updates: gradient steps that the critics learn for before the actor begins.
     """
 
     exploration: Annotated[float, Field(ge=0)]
-    last_exploration: Annotated[float, Field(ge=0)] = 0.05
+    last_exploration: Annotated[float, Field(ge=0)] = 0.2
     critic_updates: Annotated[int, Field(ge=0)] = 0
 
     def noise(self, env: VecEnv) -> ActionNoise:
