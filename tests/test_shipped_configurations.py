@@ -1,6 +1,7 @@
 """Whatever lies in `conf/` is of use: every file composes to typed options, and what learns takes a step with it."""
 
 import importlib
+import shlex
 
 import hydra
 import numpy as np
@@ -114,3 +115,24 @@ def test_no_folder_is_forgotten():
     """What lies in a folder is chosen from by some command; studies by their name, launchers by Hydra."""
     used = {group.partition("@")[0] for config_name in COMPOSED for group in named_groups_of(config_name)}
     assert {folder.name for folder in CONF.iterdir() if folder.is_dir()} - {"experiment", "hydra"} <= used
+
+
+PAGES = {"collective": "policy_seeds@collective_room", "obstacle": "policy_seeds@obstacle", "pair": "pair_critic_first"}
+
+
+def test_every_preset_is_measured():
+    assert sorted(PAGES) == words("preset")
+
+
+@pytest.mark.parametrize("preset", PAGES)
+def test_a_preset_is_what_ten_seeds_were_learned_with(preset):
+    """What `dvc repro docs/results/dvc.yaml` runs, and what the word stands for, compose to the same."""
+    lock = yaml.safe_load((CONF.parent / "docs/results/dvc.lock").read_text())
+    _, *given = shlex.split(lock["stages"][PAGES[preset]]["cmd"].partition("experiment ")[2])
+    at_hand = [one for one in given if one.partition("=")[0] in ("simulation", "seed", "output")]
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        as_run, as_preset = (
+            OmegaConf.to_container(hydra.compose("experiment/policy_seeds", options))
+            for options in (given, [f"preset={preset}", *at_hand])
+        )
+    assert as_run == as_preset
