@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from swarmtwin.geometry import compose, exp_map
+from swarmtwin.simulation import arcs
 from swarmtwin.simulation.arcs import moved_along
 
 
@@ -35,3 +36,9 @@ def test_gradients_and_single_precision_go_by_the_formulas():
     assert moved.dtype == torch.float32
     moved.sum().backward()
     assert torch.isfinite(twist.grad).all()
+
+
+def test_without_numba_the_formulas_are_used(monkeypatch):
+    monkeypatch.setattr(arcs, "_can_compile", lambda: False)
+    pose, twist = torch.ones(4, 3, dtype=torch.float64), torch.full((4, 3), 0.3, dtype=torch.float64)
+    torch.testing.assert_close(moved_along(pose, twist), compose(pose, exp_map(twist)), rtol=0, atol=0)
