@@ -96,9 +96,10 @@ class HeldOutRuns:
         if not extended:
             return HeldOutJudgement(None, errors, gain, None)
         usual, rng = explained.motion_noise.usual, np.random.default_rng(self.seed)
-        if [type(one) for one in explained.mechanisms] == [command_loss.Config] and extended.noise_factor == 1.0:
-            parts, (loss,) = settings.held_out_every - 1, explained.mechanisms
-            likelihood = gain_by_loss(explained.model, self.unfitted, loss, parts, settings.gain_draws, rng)
+        only = explained.mechanisms[0] if len(explained.mechanisms) == 1 else None
+        if isinstance(only, command_loss.Config) and extended.noise_factor == 1.0:
+            parts = settings.held_out_every - 1
+            likelihood = gain_by_loss(explained.model, self.unfitted, only, parts, settings.gain_draws, rng)
         else:
             likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
         moves = extended.residual is not None or bool(arriving(explained.mechanisms))
