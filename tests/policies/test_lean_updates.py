@@ -137,3 +137,8 @@ def test_the_actor_waits_until_the_critic_has_learned(env, kind, actor_learns):
         }
     assert all("critic." in parts for parts in moved.values())
     assert next(step for step, parts in moved.items() if "actor." in parts) == actor_learns
+
+
+def test_noise_stays_as_it_is_unless_it_is_told_to_change(folder):
+    noise = Learner(policy_job(folder, algorithm=small("ddpg", exploration=0.1))).algorithm.action_noise
+    assert (noise.first, noise.last) == (0.1, 0.1)

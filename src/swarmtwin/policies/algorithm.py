@@ -128,18 +128,20 @@ class ExploringConfig(OffPolicyConfig):
 
     Attributes:
         exploration: standard deviation of that noise in the beginning.
-        last_exploration: in the end; in between it goes straight from the one to the other. Vehicles that see others
-            move at random keep more distance than they will need; but where noise falls early, some never find the way.
+        last_exploration: in the end; in between it goes straight from the one to the other. None: as in the beginning.
+            Vehicles that see others move at random keep more distance than they will need; but where noise falls
+            early, some never find the way.
         critic_updates: gradient steps that the critics learn for before the actor begins.
     """
 
     exploration: Annotated[float, Field(ge=0)]
-    last_exploration: Annotated[float, Field(ge=0)] = 0.2
+    last_exploration: Annotated[float, Field(ge=0)] | None = None
     critic_updates: Annotated[int, Field(ge=0)] = 0
 
     def noise(self, env: VecEnv) -> ActionNoise:
         """Return the noise of a training."""
-        return SharedGaussianNoise(env, self.exploration, self.last_exploration, self.steps)
+        last = self.exploration if self.last_exploration is None else self.last_exploration
+        return SharedGaussianNoise(env, self.exploration, last, self.steps)
 
 
 ALGORITHMS: PluginRegistry[AlgorithmConfig] = PluginRegistry(algorithms, "algorithm", group="policy")
