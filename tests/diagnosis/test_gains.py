@@ -209,3 +209,6 @@ def test_runs_without_a_lost_command_do_not_deny_that_some_are_lost():
     assert together.low > 0
     assert together.before - together.after == pytest.approx((30 * 20.0 + 39 * 40 * np.log1p(-0.025)) / 1600)
     assert not gain_by_loss(held(np.arange(30), -2.0), unfitted, loss, 3, 1000, rng).low > 0
+    numbered_anew = held(np.arange(10), 0.0)  # as runs are in each part of a session
+    drawn = [gain_by_loss(fitted, one, loss, 3, 1000, np.random.default_rng(1)) for one in (unfitted, numbered_anew)]
+    assert drawn[0] == drawn[1]

@@ -181,7 +181,7 @@ def gain_by_loss(
     return _gain(
         np.concatenate([_unlikely(fitted), _unlikely(unfitted)]),
         np.concatenate([after, _unlikely(unfitted, [loss])]),
-        np.concatenate([fitted.session.run, unfitted.session.run]),
+        np.concatenate([fitted.session.run, unfitted.session.run + fitted.session.run.max() + 1]),  # other runs
         draws,
         rng,
     )
