@@ -9,6 +9,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "swarmtwin"
 
 GROUND = {
+    "compilable",
     "compiled",
     "configuration",
     "errors",
@@ -26,6 +27,7 @@ GROUND = {
 }
 ORDER = ("recordings", "transitions", "learning", "dynamics", "simulation")
 MAY_IMPORT = {
+    "compilable": set(),
     "compiled": set(),
     "configuration": {"plugins"},
     "errors": set(),

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from swarmtwin import compilable
 from swarmtwin.learning.encoding import Encoding, Scaling
 from swarmtwin.learning.situation import ALL_PARTS, Situation
 from swarmtwin.robot import Arena
@@ -170,3 +171,14 @@ def test_situations_are_taken_by_index_and_type(robots):
     np.testing.assert_allclose(chosen.elapsed_s, transitions.time_s[[3, 1]])
     np.testing.assert_allclose(chosen.pose, transitions.pose[[3, 1]], rtol=1e-6)
     assert Situation.from_transitions(transitions, ("command",)).pose is None
+
+
+def test_walls_are_seen_alike_in_one_compiled_pass(robots, monkeypatch):
+    encoding = Encoding(robots["mgr"], ["walls"], "limits", wall_reaches_mm=(120.0, 30.0))
+    rng = np.random.default_rng(3)
+    pose = torch.as_tensor(rng.uniform([-50.0, -50.0, -np.pi], [1100.0, 1100.0, np.pi], (300, 3)))
+    situation = Situation(command=torch.zeros(300, 2, dtype=torch.float64), pose=pose)
+    compiled = encoding(situation)
+    monkeypatch.setattr(compilable, "can_compile", lambda: False)
+    torch.testing.assert_close(compiled, encoding(situation), rtol=0, atol=1e-6)
+    assert compiled.abs().amax(dim=0).min() > 0.01

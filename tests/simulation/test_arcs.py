@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from swarmtwin.geometry import compose, exp_map
-from swarmtwin.simulation import arcs
-from swarmtwin.simulation.arcs import moved_along
+from swarmtwin import compilable
+from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
+from swarmtwin.simulation.arcs import moved_along, twist_between
 
 
 @pytest.mark.parametrize("share", [1.0, 0.125, 0.0, -0.5])
@@ -20,6 +20,15 @@ def test_compiled_arcs_are_those_of_the_formulas(share):
     )
     strided = moved_along(pose.T.contiguous().T, twist, share)
     torch.testing.assert_close(strided, moved_along(pose, twist, share), rtol=0, atol=0)
+
+
+def test_compiled_twists_between_poses_are_those_of_the_formulas():
+    rng = np.random.default_rng(2)
+    start, end = (torch.as_tensor(rng.uniform(-1, 1, (500, 3)) * [1000.0, 1000.0, np.pi]) for _ in range(2))
+    end[:20, 2], end[20:40] = start[:20, 2], start[20:40]
+    twist = twist_between(start, end)
+    torch.testing.assert_close(twist, log_map(displacement_between(start, end)), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(moved_along(start, twist), end, rtol=0, atol=1e-6)
 
 
 def test_headings_come_wrapped():
@@ -39,6 +48,7 @@ def test_gradients_and_single_precision_go_by_the_formulas():
 
 
 def test_without_numba_the_formulas_are_used(monkeypatch):
-    monkeypatch.setattr(arcs, "_can_compile", lambda: False)
+    monkeypatch.setattr(compilable, "can_compile", lambda: False)
     pose, twist = torch.ones(4, 3, dtype=torch.float64), torch.full((4, 3), 0.3, dtype=torch.float64)
     torch.testing.assert_close(moved_along(pose, twist), compose(pose, exp_map(twist)), rtol=0, atol=0)
+    torch.testing.assert_close(twist_between(pose, twist), log_map(displacement_between(pose, twist)), rtol=0, atol=0)

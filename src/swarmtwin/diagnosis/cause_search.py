@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -124,7 +125,7 @@ class CauseSearch:
         progress: Progress | None = None,
         usual_loss: Callable[[], float] = float,
     ) -> None:
-        self._usual_loss, self._usual_gain = usual_loss, dict[tuple[MechanismClass, ...], float]()
+        self._usual_loss, self._usual_gain = cache(usual_loss), dict[tuple[MechanismClass, ...], float]()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = {name: kind for name, kind in kinds.items() if model.can_show(kind)}
         self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
@@ -202,21 +203,30 @@ class _Search:
                 break
         return values
 
-    def _likeliest_by_courses(self, values: np.ndarray, courses: np.ndarray) -> np.ndarray:
-        information, _ = self._curvature(values, courses)
-        scale = 1 / np.sqrt(np.diag(information))
+    def _likeliest_by_courses(self, values: np.ndarray, courses: np.ndarray, enough: float = 0.02) -> np.ndarray:
+        """Climb by Newton's method, the products of scores for the curvature (Berndt, Hall, Hall, Hausman, 1974).
 
-        def cost(scaled: np.ndarray) -> float:
-            return -self.model.evaluate(self.at(self.clipped(scaled * scale)), courses=courses).total
+        Until a step is `enough` standard deviations or less, or the likelihood falls whatever its length.
+        """
+        reached = self._total(values, courses)
+        for _ in range(self.settings.likelihood_rounds):
+            information, scores = self._curvature(values, courses)
+            moved = self._bounded_step(values, information, scores.total)
+            for _ in range(6):
+                likelihood = self._total(moved, courses)
+                if likelihood >= reached:
+                    break
+                moved = (moved + values) / 2
+            else:
+                return values
+            shift = np.abs(moved - values) * np.sqrt(np.diag(information))
+            values, reached = moved, likelihood
+            if shift.max() < enough:
+                break
+        return values
 
-        found = optimize.minimize(
-            cost,
-            values / scale,
-            method="L-BFGS-B",
-            bounds=list(zip(self.low / scale, self.high / scale, strict=True)),
-            options={"eps": 0.1 * self.step / scale, "maxiter": self.settings.likelihood_rounds, "ftol": 1e-8},
-        )
-        return self.clipped(found.x * scale)
+    def _total(self, values: np.ndarray, courses: np.ndarray) -> float:
+        return self.model.evaluate(self.at(values), courses=courses).total
 
     def polished(self, values: np.ndarray) -> np.ndarray:
         """Search a little around values where the motion changes by jumps."""
@@ -295,7 +305,7 @@ class _Search:
             nothing = np.zeros((0, 0))
             return EstimatedSet(fitted, values, nothing, np.zeros((runs, 0)), nothing, evidence)
         if lossy:
-            curvature, scores = self._curvature(values, fitted.courses)
+            curvature, (scores, _) = self._curvature(values, fitted.courses)
             information, naive = curvature, np.linalg.inv(curvature)
         else:
             slopes = self.slopes(values, fitted.whitened.ravel())
@@ -311,25 +321,38 @@ class _Search:
         evidence += len(values) * np.log(2 * np.pi) / 2 - float(np.linalg.slogdet(curvature)[1]) / 2
         return EstimatedSet(fitted, values, information, by_run, naive, evidence)
 
-    def _curvature(self, values: np.ndarray, courses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the curvature (P, P) of the log-likelihood by its scores (N, P), and these.
+    def _curvature(self, values: np.ndarray, courses: np.ndarray) -> tuple[np.ndarray, "Scores"]:
+        """Return the curvature (P, P) of the log-likelihood by its scores, and these.
 
         Which course each transition took stays as it is: where that changes, one transition's log-likelihood jumps and
         the next one's jumps back, and the squares of both would be taken for information.
         """
-        scores = np.stack([self._slope(values, index, courses) for index in range(len(values))], axis=-1)
-        return scores.T @ scores + self.prior_precision, scores
+        slopes = [self._slope(values, index, courses) for index in range(len(values))]
+        scores = Scores(*(np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True)))
+        return scores.of_each.T @ scores.of_each + self.prior_precision, scores
 
-    def _slope(self, values: np.ndarray, index: int, courses: np.ndarray) -> np.ndarray:
+    def _slope(self, values: np.ndarray, index: int, courses: np.ndarray) -> "Scores":
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
             moved[index] += sign * self.step[index]
             moved = self.clipped(moved)
-            ends.append((moved[index], self.model.evaluate(self.at(moved), courses=courses).log_likelihood))
+            fitted = self.model.evaluate(self.at(moved), courses=courses)
+            ends.append((moved[index], Scores(fitted.log_likelihood, np.array(fitted.total))))
         (ahead, first), (back, second) = ends
-        slope: np.ndarray = (first - second) / max(ahead - back, 1e-12)
-        return slope
+        return Scores(*((one - other) / max(ahead - back, 1e-12) for one, other in zip(first, second, strict=True)))
+
+
+class Scores(NamedTuple):
+    """How log-likelihoods change with P parameters.
+
+    Attributes:
+        of_each: (N, P) that of each transition.
+        total: (P,) that of the whole session, with what random effects cost.
+    """
+
+    of_each: np.ndarray
+    total: np.ndarray
 
 
 Progress = Callable[[str, int, int], None]

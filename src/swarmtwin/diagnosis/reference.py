@@ -1,6 +1,6 @@
 """Step 1. What a measured session is compared with: a simulation, its own noise, and how sure it is of itself."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -70,6 +70,7 @@ class Reference:
     settings: DiagnosisSettings
     tabulated: BaseDynamics | None = None
     quick: BaseDynamics | None = None
+    _own_likelihoods: dict[int, SessionLikelihood] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def robot(self) -> Robot:
@@ -198,10 +199,13 @@ class Reference:
         None: of as many as its noise is learned from.
         """
         rows = _evenly_chosen(self.session, most or self.settings.reference.most_transitions)
-        own = self.cross_fitted.of_rows(rows)
-        return SessionLikelihood(
-            own, self.noise, self.session.where(rows), discrepancy=self.discrepancy, settings=self.settings
-        )
+        count = int(rows.sum())
+        if count not in self._own_likelihoods:
+            own = self.cross_fitted.of_rows(rows)
+            self._own_likelihoods[count] = SessionLikelihood(
+                own, self.noise, self.session.where(rows), discrepancy=self.discrepancy, settings=self.settings
+            )
+        return self._own_likelihoods[count]
 
     def comparable(self, measured: Recording) -> "ComparableSession":
         """Return what of a measured recording can be compared.

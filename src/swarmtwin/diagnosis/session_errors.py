@@ -20,7 +20,8 @@ from swarmtwin.diagnosis.noise_filter import NoiseFilter
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModel
-from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
+from swarmtwin.geometry import compose, exp_map, log_map
+from swarmtwin.simulation.arcs import moved_along, twist_between
 from swarmtwin.simulation.mechanism import Mechanism
 
 
@@ -58,6 +59,7 @@ class SessionErrors:
         self.predictor = SessionPredictor(base, *given, quick)
         self.simulated = self.predictor.twist(())
         self._measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
+        self._nowhere = torch.zeros_like(self._measured)
         self.strange = tuple(
             vehicle
             for vehicle in (session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle))
@@ -70,7 +72,7 @@ class SessionErrors:
         return self._uncorrected(twist) - self.correction
 
     def _uncorrected(self, twist: Tensor) -> np.ndarray:
-        errors: np.ndarray = log_map(displacement_between(exp_map(twist), self._measured)).numpy()
+        errors: np.ndarray = twist_between(moved_along(self._nowhere, twist), self._measured).numpy()
         return errors
 
     def errors(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:

@@ -20,6 +20,7 @@ from swarmtwin.diagnosis.measured_session import SentCommands
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import compose, displacement_between, log_map
 from swarmtwin.learning.situation import Situation
+from swarmtwin.simulation.arcs import twist_between
 from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
@@ -266,7 +267,7 @@ class SessionPredictor:
         end = compose(moment.pose, displacement)
         for mechanism in mechanisms:
             end = mechanism.to_measured(end, self.conditions)
-        return log_map(displacement_between(measured.pose, end))
+        return twist_between(measured.pose, end)
 
     def _carried(
         self, mechanisms: Sequence[Mechanism], twists: BaseTwists, memory: Memory

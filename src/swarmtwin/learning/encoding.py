@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from swarmtwin.compilable import can_pass_over
 from swarmtwin.errors import UserError
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Arena, Robot, SituationPart
@@ -302,7 +303,7 @@ class Encoding(nn.Module):
             case "direction":
                 return torch.cat([part[:, 2:].cos(), part[:, 2:].sin()], dim=-1)
             case "walls":
-                return torch.cat([self._walls(part, reach_mm) for reach_mm in self.wall_reaches_mm], dim=-1)
+                return self._walls(part)
             case "neighbours":
                 return self._neighbours(part[..., :2])
             case "elapsed_s" if self.session_s is not None:
@@ -312,15 +313,22 @@ class Encoding(nn.Module):
             case _:
                 return part
 
-    def _walls(self, pose: Tensor, reach_mm: float) -> Tensor:
-        """Return (N, 5) how near walls are and where they lie as seen from poses (N, 3)."""
+    def _walls(self, pose: Tensor) -> Tensor:
+        """Return how near walls are and where they lie as seen from poses (N, 3), five columns a reach."""
         low, high = self.walls_mm.to(pose)
+        if can_pass_over(pose):
+            from swarmtwin.learning import compiled_walls
+
+            given = (one.contiguous().numpy() for one in (pose, low, high))
+            return torch.from_numpy(compiled_walls.near_walls(*given, np.array(self.wall_reaches_mm)))
         distance_mm = torch.cat([pose[:, :2] - low, high - pose[:, :2]], dim=-1).clamp(min=0.0)
-        near = torch.exp(-distance_mm / reach_mm)
         cos, sin = pose[:, 2].cos(), pose[:, 2].sin()
         ahead = torch.stack([-cos, -sin, cos, sin], dim=-1)
         left = torch.stack([sin, -cos, -sin, cos], dim=-1)
-        columns = [near, near * ahead, near * left, near * ahead**2, near * ahead * left]
+        columns: list[Tensor] = []
+        for reach_mm in self.wall_reaches_mm:
+            near = torch.exp(-distance_mm / reach_mm)
+            columns += [near, near * ahead, near * left, near * ahead**2, near * ahead * left]
         return torch.stack([column.sum(dim=-1) for column in columns], dim=-1)
 
     def _neighbours(self, away_mm: Tensor) -> Tensor:

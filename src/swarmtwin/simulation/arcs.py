@@ -1,31 +1,35 @@
-"""Motion along arcs of circles: where vehicles come to that hold a twist."""
+"""Motion along arcs of circles: where vehicles come to that hold a twist, and which twist leads somewhere.
 
-from functools import cache
-from importlib.util import find_spec
+On a CPU, in double precision and where no gradient is asked for, each is computed in one pass, the same to rounding, if
+numba is installed.
+"""
 
 import torch
 from torch import Tensor
 
-from swarmtwin.geometry import compose, exp_map
+from swarmtwin.compilable import can_pass_over
+from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
 
 
 def moved_along(pose: Tensor, twist: Tensor, share: float = 1.0) -> Tensor:
     """Return the poses (N, 3) that twists (N, 3) lead to from `pose` (N, 3), held for a share of a period.
 
-    It is `compose(pose, exp_map(twist * share))`. On a CPU, in double precision and where no gradient is asked for,
-    that is computed in one pass, the same to rounding, if numba is installed.
+    It is `compose(pose, exp_map(twist * share))`.
     """
-    both = (pose, twist)
-    is_plain = all(
-        one.dtype == torch.float64 and one.is_cpu and not one.requires_grad and one.ndim == 2 for one in both
-    )
-    if is_plain and _can_compile():
+    if can_pass_over(pose, twist) and pose.shape == twist.shape:
         from swarmtwin.simulation import compiled_arcs
 
-        return torch.from_numpy(compiled_arcs.moved_along(*(one.contiguous().numpy() for one in both), share))
+        return torch.from_numpy(compiled_arcs.moved_along(*(one.contiguous().numpy() for one in (pose, twist)), share))
     return compose(pose, exp_map(twist * share))
 
 
-@cache
-def _can_compile() -> bool:
-    return find_spec("numba") is not None
+def twist_between(start: Tensor, end: Tensor) -> Tensor:
+    """Return the twists (N, 3) that lead from poses (N, 3) to others in a period: `log_map(displacement_between(…))`.
+
+    They turn by half a circle at most.
+    """
+    if can_pass_over(start, end) and start.shape == end.shape:
+        from swarmtwin.simulation import compiled_arcs
+
+        return torch.from_numpy(compiled_arcs.twist_between(*(one.contiguous().numpy() for one in (start, end))))
+    return log_map(displacement_between(start, end))

@@ -23,8 +23,34 @@ def moved_along(pose: np.ndarray, twist: np.ndarray, share: float) -> np.ndarray
         along, across = chord * math.cos(pose[row, 2] + half), chord * math.sin(pose[row, 2] + half)
         moved[row, 0] = pose[row, 0] + along * twist[row, 0] - across * twist[row, 1]
         moved[row, 1] = pose[row, 1] + across * twist[row, 0] + along * twist[row, 1]
-        heading = pose[row, 2] + 2 * half
-        if heading > math.pi or heading <= -math.pi:
-            heading -= 2 * math.pi * math.ceil((heading - math.pi) / (2 * math.pi))
-        moved[row, 2] = heading
+        moved[row, 2] = _wrapped(pose[row, 2] + 2 * half)
     return moved
+
+
+@compiled
+def twist_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return what `arcs.twist_between` says: a chord points where the vehicle heads halfway, its arc is longer.
+
+    Args:
+        start: (N, 3) poses.
+        end: (N, 3) poses a period later.
+    """
+    twist = np.empty_like(start)
+    for row in range(len(start)):
+        turn = _wrapped(end[row, 2] - start[row, 2])
+        half = 0.5 * turn
+        arc = half / math.sin(half) if half != 0.0 else 1.0
+        along, across = arc * math.cos(start[row, 2] + half), arc * math.sin(start[row, 2] + half)
+        away_x, away_y = end[row, 0] - start[row, 0], end[row, 1] - start[row, 1]
+        twist[row, 0] = along * away_x + across * away_y
+        twist[row, 1] = along * away_y - across * away_x
+        twist[row, 2] = turn
+    return twist
+
+
+@compiled
+def _wrapped(angle: float) -> float:
+    """Return an angle in (−π, π]."""
+    if angle > math.pi or angle <= -math.pi:
+        angle -= 2 * math.pi * math.ceil((angle - math.pi) / (2 * math.pi))
+    return angle
