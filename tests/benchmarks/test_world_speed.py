@@ -1,5 +1,6 @@
 """How fast groups are simulated: figures to look at with `pytest -s -m benchmark_figures`."""
 
+import multiprocessing
 import time
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -68,6 +69,28 @@ def vehicle_steps(world, until):
     return steps * world.worlds * world.task.vehicles
 
 
+def rates_of_worlds(robot, worlds, together, out):
+    """Step a world of one's own, at the same time as others in other processes."""
+    world = world_of(collective(robot), simulation_of(robot, "table"), worlds)
+    vehicle_steps(world, time.perf_counter() + 0.2 * MEASURED_S)
+    together.wait()
+    start = time.perf_counter()
+    out.put(vehicle_steps(world, start + MEASURED_S) / (time.perf_counter() - start))
+
+
+def rate_side_by_side(robot, worlds, processes):
+    """Vehicle-steps a second of as many processes, each with one thread and a world, as seeds are learned."""
+    context = multiprocessing.get_context("spawn")
+    together, out = context.Barrier(processes), context.Queue()
+    running = [context.Process(target=rates_of_worlds, args=(robot, worlds, together, out)) for _ in range(processes)]
+    for one in running:
+        one.start()
+    rate = sum(out.get(timeout=120) for _ in running)
+    for one in running:
+        one.join()
+    return rate
+
+
 def rate_of(world):
     """Vehicle-steps a second on one thread, once all is compiled."""
     vehicle_steps(world, time.perf_counter() + 0.2 * MEASURED_S)
@@ -108,6 +131,9 @@ def test_speed_of_compiled_worlds(robots, worlds):
         f"  formulas {plain / 1e6:.2f} M; compiled {one / 1e6:.2f} M, best of five, {one / plain:.0f} times; ", end=""
     )
     print(f"two such, a thread each {two / 1e6:.2f} M, {two / one:.2f} times")
+    alone, both = (max(rate_side_by_side(robot, worlds, processes) for _ in range(3)) for processes in (1, 2))
+    print(f"  in processes of their own, best of three: one {alone / 1e6:.2f} M, two {both / 1e6:.2f} M, ", end="")
+    print(f"{both / alone:.2f} times")
     assert one > 0
 
 

@@ -24,13 +24,21 @@ def too_little_nats(settings: SearchSettings, transitions: int) -> float:
     return settings.least_nats_a_transition * transitions
 
 
+def is_of_exact_form(model: SessionLikelihood, kind: MechanismClass) -> bool:
+    """Say whether there is no other form of a mechanism that what it gains could come from.
+
+    Of one that the clock shows nothing is fitted; and which commands were lost is summed over: each arrives or does
+    not, and what follows is what the simulation does. How thrust goes on as it did before, that knows less well.
+    """
+    return bool(model.read_off_clock(kind)) or (loses_commands([kind]) and model.robot.actuation.kind != "thrust")
+
+
 def share_beside(settings: SearchSettings, model: SessionLikelihood, kinds: Sequence[MechanismClass]) -> float:
     """Return the share of what a set of causes gains that is no evidence for those beyond the first.
 
-    No form is exact, least of all that of how thrust follows. One that the clock shows has nothing that is fitted, and
-    picks up no form.
+    No form is exact, least of all that of how thrust follows; but for those of which there is no other.
     """
-    fitted = [kind for kind in kinds if not model.read_off_clock(kind)]
+    fitted = [kind for kind in kinds if not is_of_exact_form(model, kind)]
     late = sum(kind.says_when for kind in fitted) if model.robot.actuation.kind == "thrust" else 0
     beside, beside_late = max(len(fitted) - 1, 0), max(late - 1, 0)
     return settings.least_share_beside * (beside - beside_late) + settings.least_share_late * beside_late
@@ -163,10 +171,15 @@ class CauseSearch:
 
         A further cause begins to matter where it gains more than what another form of those beside it would.
         """
-        count, gained = len(one.names), one.evidence - self._fit(()).evidence
+        count, gained = len(one.names), one.evidence - self._exact_part(one).evidence
         further = share_beside(self.settings, self.model, one.fitted.kinds) * max(gained, 0.0)
         too_little = self._share_of_evidence(one) * too_little_nats(self.settings, len(self.model.session))
         return count * (prior_log_odds(self.settings) + too_little) + further
+
+    def _exact_part(self, one: EstimatedSet) -> EstimatedSet:
+        """Return what was fitted of a set's causes without another form alone; of none where that was not."""
+        exact = frozenset(kind for kind in one.fitted.kinds if is_of_exact_form(self.model, kind))
+        return self.fitted.get(exact) or self._fit(())
 
     def _share_of_evidence(self, one: EstimatedSet) -> float:
         """Return the share of what a set changes that is evidence for it, and no difference of units.
