@@ -68,6 +68,9 @@ def test_at_most_so_many_sets_are_kept_and_nothing_is_always_one_of_them():
         ("mur", ("backlash", "gain_change", "command_delay"), 0.02 + 0.08),
         ("mur", ("timing_jitter", "actuator_lag", "command_delay"), 0.08),
         ("mgr", ("backlash", "actuator_lag"), 0.02),
+        ("mgr", ("command_loss", "camera_scale"), 0.0),
+        ("mgr", ("command_loss", "camera_scale", "actuator_lag"), 0.02),
+        ("mur", ("command_loss", "camera_scale"), 0.02),
     ],
 )
 def test_of_thrust_causes_that_say_when_it_follows_tell_less_of_each_other(robots, robot, causes, share):

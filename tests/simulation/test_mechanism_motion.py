@@ -284,6 +284,26 @@ def test_a_patch_takes_its_loss_inside_and_nothing_outside(robots):
     assert (measured[:, 0] / simulated[:, 0]).tolist() == pytest.approx([0.7, 1.0])
 
 
+@pytest.mark.parametrize("heading_rad", [0.0, np.pi])
+def test_vehicles_that_leave_or_enter_a_patch_come_as_far_on_average_as_with_a_sharp_edge(robots, heading_rad):
+    """Of starts all over the edge as many are helped as hindered by its being soft; vehicles on it are slow."""
+    robot, edge_mm, loss = robots["mgr"], 420.0, 0.5
+    start_mm = np.linspace(edge_mm - 200.0, edge_mm + 200.0, 801)
+    pose = np.column_stack([start_mm, np.full(801, 500.0), np.full(801, heading_rad)])
+    situation = situation_of(robot, np.random.default_rng(7), count=801, pose=pose, command=np.full((801, 2), 80.0))
+    disc = {"x_mm": edge_mm - 400.0, "y_mm": 500.0, "radius_mm": 400.0, "loss": loss}
+    measured, simulated = moved(robot, "surface_patch", situation, **disc)
+    whole_mm = simulated[0, 0].item()
+    inside_mm = edge_mm - start_mm
+    if heading_rad:  # outside first, then slow
+        free_mm = np.clip(-inside_mm, 0.0, whole_mm)
+        expected_mm = free_mm + (1 - loss) * (whole_mm - free_mm)
+    else:
+        slow_mm = np.clip(inside_mm, 0.0, (1 - loss) * whole_mm)
+        expected_mm = slow_mm + whole_mm - slow_mm / (1 - loss)
+    assert measured[:, 0].numpy().mean() == pytest.approx(expected_mm.mean(), abs=0.02)
+
+
 def test_neighbours_push_each_other_apart_equally(robots):
     robot = robots["mgr"]
     rng = np.random.default_rng(18)

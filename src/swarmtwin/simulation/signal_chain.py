@@ -198,16 +198,22 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
     gripping = [mechanism for mechanism in mechanisms if mechanism.stage == "ground"]
     if not gripping:
         return composed(motion.pieces), motion.end
-    pose, end, factor = moment.pose, motion.end, None
+    pose, end, factor = moment.pose, motion.end, _tractions(gripping, moment.pose, moment)
     for share, twist in motion.pieces:
-        middle = moved_along(pose, twist, share / 2)
-        factor = torch.ones(len(middle), 1, dtype=torch.float64)
-        for mechanism in gripping:
-            traction = _traction(mechanism, middle, moment)
-            factor = factor if traction is None else factor * traction
+        middle = moved_along(pose, slowed(twist, factor, moment.track_mm), share / 2)  # as slow as in the piece before
+        factor = _tractions(gripping, middle, moment)
         pose = moved_along(pose, slowed(twist, factor, moment.track_mm), share)
     moved = displacement_between(moment.pose, pose)
-    return moved, end if factor is None else slowed(end, factor, moment.track_mm)
+    return moved, slowed(end, factor, moment.track_mm)
+
+
+def _tractions(mechanisms: Sequence[Mechanism], pose: Tensor, moment: Moment) -> Tensor:
+    """Return the factor (N, 1), or (N, 2) left and right, on how far all mechanisms let vehicles at poses (N, 3) come."""
+    factor = torch.ones(len(pose), 1, dtype=torch.float64)
+    for mechanism in mechanisms:
+        traction = _traction(mechanism, pose, moment)
+        factor = factor if traction is None else factor * traction
+    return factor
 
 
 def _traction(mechanism: Mechanism, pose: Tensor, moment: Moment) -> Tensor | None:
