@@ -208,7 +208,7 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
 
 
 def _tractions(mechanisms: Sequence[Mechanism], pose: Tensor, moment: Moment) -> Tensor:
-    """Return the factor (N, 1), or (N, 2) left and right, on how far all mechanisms let vehicles at poses (N, 3) come."""
+    """Return the factor (N, 1), or (N, 2) left and right, on how far mechanisms let vehicles at poses (N, 3) come."""
     factor = torch.ones(len(pose), 1, dtype=torch.float64)
     for mechanism in mechanisms:
         traction = _traction(mechanism, pose, moment)
