@@ -211,6 +211,25 @@ def test_what_is_known_to_be_there_is_no_trait_of_a_vehicle_that_nobody_knows(ro
     assert (abs(found.values - list(drift.values().values())) < 3 * np.sqrt(np.diag(found.covariance))).all()
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_sharp_edge_is_found_where_it_is(robots, seed):
+    """As a surface through losses around it does not: those rise to both sides by other shares."""
+    base, kind, rng = ExactBase(robots["mgr"]), mechanism_class("surface_patch"), np.random.default_rng(seed)
+    true = np.array([520.0, 480.0, 160.0])
+
+    def moved(moment):
+        inside = (moment.pose[:, :2] - torch.as_tensor(true[:2])).norm(dim=1, keepdim=True) < true[2]
+        return exp_map(moment.way * torch.where(inside, 0.7, 1.0))
+
+    model = SessionLikelihood(base, known_noise(), session_of(base, rng, moved))
+    begun = [kind.at({"x_mm": 530.0, "y_mm": 470.0, "radius_mm": 170.0, "loss": 0.25})]
+    polished, found = (estimate(model, begun, polish=True, final=final) for final in (False, True))
+    effects = model.effects_with(polished.mechanisms)
+    losses = [effects.loss(model.whitened(one.mechanisms).ravel()) for one in (polished, found)]
+    assert losses[1] <= losses[0]
+    assert np.abs(found.values[:3] - true).max() < 6.0
+
+
 @pytest.mark.claims
 def test_the_place_of_an_edge_is_known_as_well_as_it_says(robots):
     """A patch whose effect is not quite of the form that is fitted: on it all is slower by a share that swings."""

@@ -12,7 +12,7 @@ import torch
 from exact_model import conditions_of, moved, situation_of
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Arena, Robot
-from swarmtwin.simulation.mechanism import mechanism, mechanism_class, mechanism_names, offered
+from swarmtwin.simulation.mechanism import LocalTractionScore, mechanism, mechanism_class, mechanism_names, offered
 
 CATALOGUE = {
     "gain_change",
@@ -84,6 +84,21 @@ def test_parameters_are_bounded_and_searches_begin_inside(robots, robot, name):
         assert set(kind.at({**start, **_observed(kind, robot)}).reported()) == set(kind.units(robot, conditions))
         mechanism({"name": name, **start, **_observed(kind, robot)}, "here")
     assert not parameters or any(parameter.null_value is not None for parameter in parameters.values())
+
+
+def test_a_search_for_a_patch_begins_where_it_explains_most(robots):
+    """Slopes as a disc leaves them that no grid holds, among others of chance alone."""
+    robot, rng, true = robots["mgr"], np.random.default_rng(4), np.array([437.0, 561.0, 178.0])
+    position = rng.uniform(0.0, 1030.0, (4000, 2))
+    inside = np.hypot(*(position - true[:2]).T) < true[2]
+    slope = 0.3 * inside + rng.normal(0.0, 0.3, len(position))
+    found = mechanism_class("surface_patch").initial_points(
+        robot, conditions_of(robot), LocalTractionScore(position, slope, np.ones(len(position)))
+    )
+    assert (
+        np.abs([found[0][name] - one for name, one in zip(("x_mm", "y_mm", "radius_mm"), true, strict=True)]).max() < 30
+    )
+    assert found[0]["loss"] == pytest.approx(0.3, abs=0.08)
 
 
 def _observed(kind, robot):

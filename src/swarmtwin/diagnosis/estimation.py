@@ -81,8 +81,8 @@ def estimate(
         start: the mechanisms.
         polish: whether to search a little around the end where the motion changes by jumps.
         final: whether to take slopes from the whole simulation, not from one member of what is quick in its place; and
-            where the motion changes by jumps, the values of a smooth surface through the likelihood there, with what
-            these differ by over resampled runs: slopes say little there.
+            where the motion changes by jumps, to look at a smooth surface through the likelihood there: by what its
+            minimum differs over resampled runs, since slopes say little there, and whether it leads further.
     """
     kinds = [type(mechanism) for mechanism in start]
     search = _Search(model, kinds, is_exact=final)
@@ -250,11 +250,11 @@ class _Search:
         return self.clipped(values + found.x * self.step)
 
     def smoothed(self, found: EstimatedSet) -> EstimatedSet:
-        """Return a set at the minimum of a quadratic surface through its loss around it (Box and Wilson, 1951).
+        """Return a set with how its values vary over resampled runs, each with a quadratic surface (Box, Wilson, 1951).
 
-        Where the edge of a patch passes single measured poses the loss jumps, and neither its slopes nor its lowest
-        point say where the edge is; a surface through points as far away as the values are uncertain does. Resampled
-        runs, each with a surface of its own, say how well.
+        Where the edge of a patch passes single measured poses the loss jumps, and slopes do not say how well the values
+        are known; a surface through points as far away as they are uncertain does. From its minimum the search also
+        begins anew, and goes there if the loss is lower: the surface alone is bent, since edges are missed one-sidedly.
         """
         settings, rng = self.settings, np.random.default_rng(0)
         count = len(found.values)
@@ -270,9 +270,9 @@ class _Search:
         losses = np.array([self._loss_by_run(effects, self.whitened(point)) for point in points])
         terms = np.column_stack([np.ones(len(away)), away, away[:, one] * away[:, other]])
 
-        def lowest(chosen: np.ndarray, times: np.ndarray) -> np.ndarray:
-            """Return the values (P,) at the minimum of the surface through chosen points, runs counted (R,) times."""
-            fitted = np.linalg.lstsq(terms[chosen], losses[chosen] @ times, rcond=1e-8)[0]
+        def lowest(times: np.ndarray) -> np.ndarray:
+            """Return the values (P,) at the minimum of the surface, runs counted (R,) times."""
+            fitted = np.linalg.lstsq(terms, losses @ times, rcond=1e-8)[0]
             curvature = np.zeros((count, count))
             curvature[one, other] = fitted[1 + count :]
             sizes, axes = np.linalg.eigh(curvature + curvature.T)
@@ -280,10 +280,12 @@ class _Search:
             step *= min(1.0, settings.surface_radius / max(float(np.linalg.norm(step)), 1e-12))
             return self.clipped(found.values + root @ step)
 
-        runs, all_points = losses.shape[1], np.arange(len(points))
+        runs = losses.shape[1]
         drawn = rng.multinomial(runs, np.full(runs, 1 / runs), settings.surface_resamples)
-        resampled = np.array([lowest(rng.choice(all_points, len(all_points)), times) for times in drawn])
-        return replace(self.estimated(lowest(all_points, np.ones(runs))), resampled=resampled.std(axis=0))
+        resampled = np.array([lowest(times) for times in drawn])
+        again = self.polished(lowest(np.ones(runs)))
+        is_lower = effects.loss(self.whitened(again)) < effects.loss(self.whitened(found.values))
+        return replace(self.estimated(again) if is_lower else found, resampled=resampled.std(axis=0))
 
     def _loss_by_run(self, effects: RandomEffects, whitened: np.ndarray) -> np.ndarray:
         """Return (R,) half the squared errors of each run, and its part of what the random effects' size costs."""

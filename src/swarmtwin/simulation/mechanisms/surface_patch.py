@@ -1,7 +1,7 @@
 """Another grip in a region of the arena: dust or oil on the ground, weeds in the water."""
 
 from collections.abc import Mapping
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -64,22 +64,21 @@ class Config(Mechanism):
     def initial_points(
         cls, robot: Robot, conditions: SessionConditions, traction: LocalTractionScore | None = None
     ) -> list[dict[str, float]]:
-        """Lay discs of five sizes over a grid of the arena and keep the three that would explain most."""
+        """Lay discs of five sizes over a grid of the arena; move the three that explain most to where that is more."""
         low, high = conditions.arena_mm.low_mm, conditions.arena_mm.high_mm
         if traction is None:
             traction = LocalTractionScore(((low + high) / 2)[None], np.zeros(1), np.ones(1))
         least = float(min(high - low))
         x_mm, y_mm = (np.linspace(low[axis], high[axis], round(13 * (high - low)[axis] / least)) for axis in (0, 1))
-        found = []
-        for radius in (0.08, 0.14, 0.2, 0.27, 0.36):
-            for centre in np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2):
-                inside = ((traction.position - centre) ** 2).sum(axis=1) < (radius * least) ** 2
-                slope, curvature = traction.slope[inside].sum(), traction.curvature[inside].sum() + 1e-9
-                loss = float(np.clip(slope / curvature, -0.5, 0.9))
-                disc = {"x_mm": float(centre[0]), "y_mm": float(centre[1]), "radius_mm": radius * least, "loss": loss}
-                found.append((slope**2 / curvature, disc))
-        found.sort(key=lambda entry: -entry[0])
-        return [disc for _, disc in found[:3]]
+        discs = [
+            _Disc.of(np.array([*centre, radius * least]), traction)
+            for radius in (0.08, 0.14, 0.2, 0.27, 0.36)
+            for centre in np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+        ]
+        discs.sort(key=lambda disc: -disc.nats)
+        ends = np.array([[low[0], low[1], 0.05 * least], [high[0], high[1], 0.45 * least]])
+        moved = [disc.moved(traction, least / 26, ends) for disc in discs[:3]]
+        return [disc.values() for disc in sorted(moved, key=lambda disc: -disc.nats)]
 
     def traction(self, position: Tensor, moment: Moment) -> Tensor:
         """Weaken the drive inside the disc; its edge is as soft as a fifth of a period's longest way is."""
@@ -95,3 +94,45 @@ class Config(Mechanism):
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
         """Look at the path in fifths of a period."""
         return (0.2, 0.4, 0.6, 0.8)
+
+
+class _Disc(NamedTuple):
+    """A patch of the loss that fits it best, as far as slopes tell.
+
+    Attributes:
+        place: (3,) x, y and radius in mm.
+        loss: share of the way.
+        nats: twice what it gains.
+    """
+
+    place: np.ndarray
+    loss: float
+    nats: float
+
+    @classmethod
+    def of(cls, place: np.ndarray, traction: LocalTractionScore) -> "_Disc":
+        """Return the one at a place (3,)."""
+        inside = ((traction.position - place[:2]) ** 2).sum(axis=1) < place[2] ** 2
+        slope, curvature = float(traction.slope[inside].sum()), float(traction.curvature[inside].sum()) + 1e-9
+        return cls(place, float(np.clip(slope / curvature, -0.5, 0.9)), slope**2 / curvature)
+
+    def moved(self, traction: LocalTractionScore, step_mm: float, ends: np.ndarray, least: float = 0.2) -> "_Disc":
+        """Return the one that is reached by ever smaller steps uphill, within `ends` (2, 3).
+
+        A step moves the disc or lets it grow, or both, so that the edge on one side stays where it is.
+        """
+        disc, size = self, 1.0
+        while size >= least:
+            places = np.clip(disc.place + size * step_mm * _STEPS, *ends)
+            around = [_Disc.of(place, traction) for place in places]
+            further = max(around, key=lambda one: one.nats)
+            disc, size = (further, size) if further.nats > disc.nats else (disc, size / 2)
+        return disc
+
+    def values(self) -> dict[str, float]:
+        """Return it as values of the mechanism's parameters."""
+        x_mm, y_mm, radius_mm = map(float, self.place)
+        return {"x_mm": x_mm, "y_mm": y_mm, "radius_mm": radius_mm, "loss": self.loss}
+
+
+_STEPS = np.array([step for step in np.ndindex(3, 3, 3) if 0 < sum(one != 1 for one in step) < 3]) - 1.0
