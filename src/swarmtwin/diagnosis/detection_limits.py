@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from swarmtwin.diagnosis.cause_search import prior_log_odds, share_beside, too_little_nats
+from swarmtwin.diagnosis.cause_search import is_of_exact_form, prior_log_odds, share_beside, too_little_nats
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.gains import confirmed_from
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving, loses_commands
@@ -88,7 +88,9 @@ class _Limits:
         self._sure = prior_log_odds(settings) + math.log(settings.named_from / (1 - settings.named_from))
         self.too_little = too_little_nats(settings, searched)
         self._beside = [type(one) for one in beside]
-        self._gained = explained.posterior.best.evidence - explained.posterior.nothing.evidence
+        posterior = explained.posterior
+        exact = [one.name for one in posterior.best.mechanisms if is_of_exact_form(self.model, type(one))]
+        self._gained = posterior.best.evidence - (posterior.of_names(exact) or posterior.nothing).evidence
         self.unfitted = unfitted
         if unfitted:
             self._error = unfitted.errors(arriving(explained.best.mechanisms)) + unfitted.correction

@@ -181,8 +181,8 @@ class SearchSettings(StrictModel):
             0.005 lowers errors by about 0.2 %. Where other units may differ by as much, only a share of what a cause
             changes is evidence, and as much of this is asked for.
         least_share_beside: likewise, of what a set gains, for each cause beyond the first: no form is exact, and one
-            that is wrong by a seventh of its effect leaves that share to whatever picks it up. Not for one that the
-            clock shows: nothing of it is fitted.
+            that is wrong by a seventh of its effect leaves that share to whatever picks it up. Not for those that have
+            no other form: what the clock shows, and, but with thrust, lost commands.
         least_share_late: likewise, in its place, for each cause beyond the first that says when a fin or a propeller
             follows: what a change of its setting does on the way is known to little more than a quarter.
         most_causes: that are named in one session. Where more are likelier, none is: any gap can be pieced together
