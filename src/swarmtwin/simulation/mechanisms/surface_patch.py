@@ -12,6 +12,48 @@ from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Moment, Parameter
 
 
+_STEPS = np.array([step for step in np.ndindex(3, 3, 3) if 0 < sum(one != 1 for one in step) < 3]) - 1.0
+
+
+class _Disc(NamedTuple):
+    """A patch of the loss that fits it best, as far as slopes tell.
+
+    Attributes:
+        place: (3,) x, y and radius in mm.
+        loss: share of the way.
+        nats: twice what it gains.
+    """
+
+    place: np.ndarray
+    loss: float
+    nats: float
+
+    @classmethod
+    def of(cls, place: np.ndarray, traction: LocalTractionScore) -> "_Disc":
+        """Return the one at a place (3,)."""
+        inside = ((traction.position - place[:2]) ** 2).sum(axis=1) < place[2] ** 2
+        slope, curvature = float(traction.slope[inside].sum()), float(traction.curvature[inside].sum()) + 1e-9
+        return cls(place, float(np.clip(slope / curvature, -0.5, 0.9)), slope**2 / curvature)
+
+    def moved(self, traction: LocalTractionScore, step_mm: float, ends: np.ndarray, least: float = 0.2) -> "_Disc":
+        """Return the one that is reached by ever smaller steps uphill, within `ends` (2, 3).
+
+        A step moves the disc or lets it grow, or both, so that the edge on one side stays where it is.
+        """
+        disc, size = self, 1.0
+        while size >= least:
+            places = np.clip(disc.place + size * step_mm * _STEPS, *ends)
+            around = [_Disc.of(place, traction) for place in places]
+            further = max(around, key=lambda one: one.nats)
+            disc, size = (further, size) if further.nats > disc.nats else (disc, size / 2)
+        return disc
+
+    def values(self) -> dict[str, float]:
+        """Return it as values of the mechanism's parameters."""
+        x_mm, y_mm, radius_mm = map(float, self.place)
+        return {"x_mm": x_mm, "y_mm": y_mm, "radius_mm": radius_mm, "loss": self.loss}
+
+
 class Config(Mechanism):
     """On a disc the actuators bring the vehicle less far by `loss`; negative where the grip is better.
 
@@ -94,45 +136,3 @@ class Config(Mechanism):
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
         """Look at the path in fifths of a period."""
         return (0.2, 0.4, 0.6, 0.8)
-
-
-class _Disc(NamedTuple):
-    """A patch of the loss that fits it best, as far as slopes tell.
-
-    Attributes:
-        place: (3,) x, y and radius in mm.
-        loss: share of the way.
-        nats: twice what it gains.
-    """
-
-    place: np.ndarray
-    loss: float
-    nats: float
-
-    @classmethod
-    def of(cls, place: np.ndarray, traction: LocalTractionScore) -> "_Disc":
-        """Return the one at a place (3,)."""
-        inside = ((traction.position - place[:2]) ** 2).sum(axis=1) < place[2] ** 2
-        slope, curvature = float(traction.slope[inside].sum()), float(traction.curvature[inside].sum()) + 1e-9
-        return cls(place, float(np.clip(slope / curvature, -0.5, 0.9)), slope**2 / curvature)
-
-    def moved(self, traction: LocalTractionScore, step_mm: float, ends: np.ndarray, least: float = 0.2) -> "_Disc":
-        """Return the one that is reached by ever smaller steps uphill, within `ends` (2, 3).
-
-        A step moves the disc or lets it grow, or both, so that the edge on one side stays where it is.
-        """
-        disc, size = self, 1.0
-        while size >= least:
-            places = np.clip(disc.place + size * step_mm * _STEPS, *ends)
-            around = [_Disc.of(place, traction) for place in places]
-            further = max(around, key=lambda one: one.nats)
-            disc, size = (further, size) if further.nats > disc.nats else (disc, size / 2)
-        return disc
-
-    def values(self) -> dict[str, float]:
-        """Return it as values of the mechanism's parameters."""
-        x_mm, y_mm, radius_mm = map(float, self.place)
-        return {"x_mm": x_mm, "y_mm": y_mm, "radius_mm": radius_mm, "loss": self.loss}
-
-
-_STEPS = np.array([step for step in np.ndindex(3, 3, 3) if 0 < sum(one != 1 for one in step) < 3]) - 1.0
