@@ -11,7 +11,6 @@ from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Moment, Parameter
 
-
 _STEPS = np.array([step for step in np.ndindex(3, 3, 3) if 0 < sum(one != 1 for one in step) < 3]) - 1.0
 
 
