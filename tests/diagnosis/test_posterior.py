@@ -82,20 +82,23 @@ def test_of_thrust_causes_that_say_when_it_follows_tell_less_of_each_other(robot
 @pytest.mark.parametrize(
     ("cause", "parameter", "value", "error", "named"),
     [
-        ("battery_sag", "loss", 0.93, 0.005, True),  # far from the end of its range, 0.95, by its own measure
-        ("battery_sag", "loss", 0.93, 0.02, False),  # it may as well be the end, and more
-        ("battery_sag", "loss", 0.60, 0.25, True),  # hardly known, but in the middle
-        ("battery_sag", "loss", 0.95, 0.001, False),
-        ("gain_change", "gain", 0.95, 0.02, True),
-        ("gain_change", "gain", 0.95, 0.04, False),  # it may as well be 1
+        ("gain_change", "gain", 2.45, 0.01, True),  # far from the end of its range, 2.5, by its own measure
+        ("gain_change", "gain", 2.45, 0.04, False),  # it may as well be the end, and more
+        ("gain_change", "gain", 1.80, 0.40, True),  # hardly known, but in the middle
+        ("gain_change", "gain", 2.50, 0.001, False),
+        ("battery_sag", "loss", 0.93, 0.02, True),  # beyond the end there is nothing
     ],
 )
-def test_a_cause_that_may_lie_at_an_end_or_do_nothing_is_not_named(robots, cause, parameter, value, error, named):
+def test_a_cause_that_may_lie_at_an_end_is_not_named(robots, cause, parameter, value, error, named):
     explained = explanation_of(robots["mgr"], {cause: (parameter, value, error)}, posterior_of(**{cause: (300.0, 1)}))
-    if cause == "gain_change":
-        assert explained.telling == ((cause,) if named else ())
-    else:
-        assert explained.names == ((cause,) if named else ())
+    assert explained.names == ((cause,) if named else ())
+
+
+@pytest.mark.parametrize(("error", "tells"), [(0.02, True), (0.04, False)])  # it may as well be 1
+def test_a_cause_that_may_do_nothing_does_not_tell(robots, error, tells):
+    causes = {"gain_change": ("gain", 0.95, error)}
+    explained = explanation_of(robots["mgr"], causes, posterior_of(gain_change=(300.0, 1)))
+    assert explained.telling == (("gain_change",) if tells else ())
 
 
 def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_LEFT):

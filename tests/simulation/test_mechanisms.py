@@ -163,8 +163,9 @@ def test_an_end_is_doubted_where_something_may_be_beyond_it(robots):
         return {field: set(one.doubted) for field, one in parameters.items()}
 
     assert doubted("mgr", "gain_change")["gain"] == {0.2, 2.5}
-    assert doubted("mgr", "battery_sag")["loss"] == {0.95}  # nothing is lost at the other end
+    assert doubted("mgr", "battery_sag")["loss"] == set()  # all or nothing is lost there
     assert doubted("mgr", "wall_effect")["loss"] == {-0.5}  # no vehicle loses more than all of its way
+    assert doubted("mgr", "surface_patch")["loss"] == {-0.6}
     assert doubted("mgr", "surface_patch")["x_mm"] == set()  # there the arena ends
     assert doubted("mur", "backlash")["servo_rad_s"] == {21.0}  # no servo takes play up at once
     assert doubted("mur", "actuator_lag") == {"time_constant_s": {0.8}, "own_time_constant_s": set()}

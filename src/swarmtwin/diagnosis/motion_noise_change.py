@@ -1,5 +1,6 @@
 """Step 3, its end: whether the motion is more random than the reference's, beyond what sessions differ by."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -32,7 +33,11 @@ class MotionNoiseChange(NamedTuple):
 def motion_noise_change(
     model: SessionLikelihood, mechanisms: Sequence[Mechanism], usual_log: Callable[[], float]
 ) -> MotionNoiseChange:
-    """Compare the motion's noise with the reference's, and where that may have changed with its own motion's."""
+    """Compare the motion's noise with the reference's, and where that may have changed with its own motion's.
+
+    What the reference's own motion shows costs a pass through it: it is asked for where the noise may have changed if
+    the reference shows as little as sessions differ by.
+    """
     log, error = model.motion_noise_log()
     usual = usual_noise_spread(model, mechanisms)
 
@@ -42,8 +47,8 @@ def motion_noise_change(
         low, high = np.exp(beside + np.array([-1.96, 1.96]) * np.hypot(error, usual))
         return MotionNoiseChange(*map(float, (np.exp(beside), low, high, probability, np.exp(of_reference))))
 
-    found = change(0.0)
-    return change(usual_log()) if found.probability >= 0.5 else found
+    may_have_changed = change(-math.copysign(usual, log)).probability >= 0.5
+    return change(usual_log() if may_have_changed else 0.0)
 
 
 def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:

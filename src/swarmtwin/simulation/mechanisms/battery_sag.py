@@ -22,7 +22,7 @@ class Config(Mechanism):
     words: ClassVar = "the actuators lose {loss} of their speed by the session's end"
     remedy: ClassVar = "charge or exchange the battery, or make sessions shorter"
     parameters: ClassVar = {
-        "loss": Parameter(0.0, 0.95, 0.0, "", (0.1,)),
+        "loss": Parameter(0.0, 0.95, 0.0, "", (0.1,), doubted_ends="none"),  # a flat battery: nothing is beyond
         "shape": Parameter(0.2, 5.0, None, "", (0.5, 1.0, 2.5)),
     }
     inputs: ClassVar[tuple[SituationPart, ...]] = ("elapsed_s",)

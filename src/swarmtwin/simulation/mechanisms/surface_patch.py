@@ -98,7 +98,7 @@ class Config(Mechanism):
                 arena.y[0], arena.y[1], None, "mm", (arena.y[0] + height / 2,), step_mm, doubted_ends="none"
             ),
             "radius_mm": Parameter(0.05 * least, 0.45 * least, None, "mm", (0.22 * least,), step_mm),
-            "loss": Parameter(-0.6, 0.97, 0.0, "", (0.2,), 0.01),
+            "loss": Parameter(-0.6, 0.97, 0.0, "", (0.2,), 0.01, doubted_ends="low"),
         }
 
     @classmethod
