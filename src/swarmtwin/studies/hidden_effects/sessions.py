@@ -108,9 +108,7 @@ def record_session(case: Case) -> RecordedSession:
         truth = Truth(case, (), 0.0, _same_vehicle(reference, twin), twin, twin)
         return RecordedSession(reference.recording, twin.recording, truth)
     simulation = PlainSimulation.learn(reference.transitions)
-    effects = _sized_effects(case, plan.session, simulation)
-    session = replace(plan.session, effects=made_effects(effects, plan.session))
-    measured = _film(CleanSession(session), robot, case)
+    effects, measured = _film_with_effects(plan, robot, case, simulation)
     rise = rise_percent(simulation.error(measured.transitions), simulation.error(twin.transitions))
     truth = Truth(case, effects, rise, _same_vehicle(reference, measured), measured, twin)
     return RecordedSession(reference.recording, measured.recording, truth)
@@ -154,10 +152,31 @@ def _measured_session(case: Case, robot: Robot, same_vehicle: float = 0.6) -> Cl
     return CleanSession(_usual(case, robot, vehicles, max(8, case.runs // len(vehicles)), seed))
 
 
-def _sized_effects(case: Case, session: StandInSession, simulation: PlainSimulation) -> tuple[dict[str, Any], ...]:
-    """Return the effects of a case, each so large that alone it raises the simulation's error as asked for."""
+def _film_with_effects(
+    plan: CleanSession, robot: Robot, case: Case, simulation: PlainSimulation
+) -> tuple[tuple[dict[str, Any], ...], FilmedSession]:
+    """Drive and film a session with the effects of a case, each as large as asked for; return them and what was filmed.
+
+    Of several that together make the rigid body unstable, each raises the error by half as much, and so on.
+    """
+    share = 1.0
+    while True:
+        effects = _sized_effects(case, plan.session, simulation, share)
+        session = replace(plan.session, effects=made_effects(effects, plan.session))
+        try:
+            return effects, _film(CleanSession(session), robot, case)
+        except ArithmeticError:
+            share /= 2
+            if share < 0.1:
+                raise
+
+
+def _sized_effects(
+    case: Case, session: StandInSession, simulation: PlainSimulation, share: float
+) -> tuple[dict[str, Any], ...]:
+    """Return the effects of a case, each so large that alone it raises the error by that share of what is asked for."""
     return tuple(
-        sized_effect(name, rise, case, session, simulation)
+        sized_effect(name, share * rise, case, session, simulation)
         for name, rise in zip(case.names, case.rises_percent, strict=True)
     )
 
