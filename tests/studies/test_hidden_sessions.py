@@ -18,6 +18,7 @@ from swarmtwin.standin.session import StandInSession
 from swarmtwin.studies import stand_in_families
 from swarmtwin.studies.hidden_effects.cases import Case, cases
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
+from swarmtwin.studies.hidden_effects import sessions
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_that_raises
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
@@ -70,6 +71,33 @@ def test_effects_that_hide_together_differ_and_a_delay_is_never_beside_a_lag():
     for case in cases("formulas", "three", 60, 3):
         assert len(set(case.names)) == 3
         assert not {"command_delay", "actuator_lag"} <= set(case.names)
+
+
+@pytest.mark.usefixtures("few_trees")
+def test_effects_that_make_the_rigid_body_unstable_together_are_halved_until_they_do_not(monkeypatch):
+    film = sessions._film
+
+    def unstable(plan, robot, case, most_percent=15.0):
+        if plan.session.effects and asked[-1] > most_percent:
+            raise ArithmeticError("the rigid-body engine became unstable")
+        return film(plan, robot, case)
+
+    def noted(name, rise_percent, *others):
+        asked.append(rise_percent)
+        return sized(name, rise_percent, *others)
+
+    asked, sized = [], sessions.sized_effect
+    monkeypatch.setattr(sessions, "_film", unstable)
+    monkeypatch.setattr(sessions, "sized_effect", noted)
+    case = Case(
+        family="formulas", kind="one", robot="mgr", names=["gain_change"], rises_percent=[40.0], seed=3, **SMALL
+    )
+    recorded = record_session(case)
+    assert asked == [40.0, 20.0, 10.0]
+    assert 0.0 < recorded.truth.rise_percent < 20.0
+    monkeypatch.setattr(sessions, "_film", functools.partial(unstable, most_percent=0.0))
+    with pytest.raises(ArithmeticError):
+        record_session(case)
 
 
 @pytest.mark.usefixtures("few_trees")
