@@ -16,9 +16,9 @@ from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.standin.effects import catalogue, parse_effects
 from swarmtwin.standin.session import StandInSession
 from swarmtwin.studies import stand_in_families
+from swarmtwin.studies.hidden_effects import sessions
 from swarmtwin.studies.hidden_effects.cases import Case, cases
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
-from swarmtwin.studies.hidden_effects import sessions
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_that_raises
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
@@ -86,15 +86,17 @@ def test_effects_that_make_the_rigid_body_unstable_together_are_halved_until_the
         asked.append(rise_percent)
         return sized(name, rise_percent, *others)
 
-    asked, sized = [], sessions.sized_effect
-    monkeypatch.setattr(sessions, "_film", unstable)
-    monkeypatch.setattr(sessions, "sized_effect", noted)
     case = Case(
         family="formulas", kind="one", robot="mgr", names=["gain_change"], rises_percent=[40.0], seed=3, **SMALL
     )
-    recorded = record_session(case)
+    as_asked = record_session(case)
+    asked, sized = [], sessions.sized_effect
+    monkeypatch.setattr(sessions, "_film", unstable)
+    monkeypatch.setattr(sessions, "sized_effect", noted)
+    halved = record_session(case)
     assert asked == [40.0, 20.0, 10.0]
-    assert 0.0 < recorded.truth.rise_percent < 20.0
+    changes = [abs(one.truth.effects[0]["gain"] - 1.0) for one in (halved, as_asked)]
+    assert 0.0 < changes[0] < changes[1]
     monkeypatch.setattr(sessions, "_film", functools.partial(unstable, most_percent=0.0))
     with pytest.raises(ArithmeticError):
         record_session(case)
