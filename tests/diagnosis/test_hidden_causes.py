@@ -5,6 +5,8 @@ right is the lower 1 % point of the binomial distribution of what is claimed: fe
 are drawn by `swarmtwin experiment name=hidden_effects`.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden_sessions import SEED, hidden, learned, nothing_hidden, usual, with_effects
@@ -107,3 +109,15 @@ def test_motion_that_is_more_random_and_nothing_else_is_named(robots, references
     assert [cause.name for cause in result.causes] == ["noise_change"], result.not_confirmed
     factor = result.causes[0].parameters["factor"]
     assert factor.low < 1.6 < factor.high
+
+
+def test_eight_long_drives_tell_as_much_as_many_short_ones(robots, references):
+    effects = ({"name": "battery_sag", "loss": 0.3, "shape": 1.0},)
+    case = Case(family="formulas", kind="one", robot="mgr", names=["battery_sag"], seed=17)
+    session = with_effects(case, replace(usual(robots["mgr"], 8, 17), steps=250), effects)
+    assert len(session.recording.runs) == 8
+    result = diagnose(references["mgr"], session.recording, SEED).result
+    assert [cause.name for cause in result.causes] == ["battery_sag"], result.not_confirmed
+    assert result.runs["held_out"] >= 8  # blocks: of two drives there would be no interval
+    loss = result.causes[0].parameters["loss"]
+    assert loss.low < 0.3 < loss.high

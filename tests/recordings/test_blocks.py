@@ -5,12 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drives import drive, write_drive
+from drives import drive, header_of, write_drive
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.reference import conditions_of, require_enough
 from swarmtwin.diagnosis.settings import ReferenceSettings
 from swarmtwin.recordings.blocks import in_blocks, run_of
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.transitions import SPLITS, from_recording, split_by_run
 from swarmtwin.transitions.splitting import Fractions
 
@@ -68,3 +69,30 @@ def test_of_few_runs_the_long_ones_are_cut(mgr):
 def test_what_has_enough_runs_stays_as_it_is(mgr):
     tracks = tuple(drive(mgr, runs=8, steps=100))
     assert all(block is track for block, track in zip(in_blocks(tracks), tracks, strict=True))
+
+
+def test_of_some_runs_the_long_ones_are_cut_where_more_are_wanted(mgr):
+    tracks = tuple(drive(mgr, runs=8, steps=210, vehicles=("1",)))
+    blocks = in_blocks(tracks, fewest=40)
+    assert len(blocks) == 8 * 5
+    assert in_blocks(blocks, fewest=40) == blocks
+
+
+def session(mgr, runs, steps):
+    """What is measured of whole runs."""
+    transitions, _ = from_recording(Recording(mgr, header_of(mgr), tuple(drive(mgr, runs=runs, steps=steps))))
+    return MeasuredSession.of(transitions, conditions_of(transitions))
+
+
+def test_a_part_of_many_runs_is_every_other_run(mgr):
+    short = session(mgr, runs=12, steps=30)
+    assert short.spread_over(len(short)).all()
+    np.testing.assert_array_equal(short.spread_over(len(short) // 3), short.run % 3 == 0)
+
+
+def test_a_part_of_one_long_run_is_of_all_of_it(mgr):
+    long = session(mgr, runs=1, steps=6000)
+    chosen = long.spread_over(3000)
+    assert 0.8 * 3000 < chosen.sum() < 1.2 * 3000
+    progress = long.transitions.time_s[chosen] / long.transitions.time_s.max()
+    assert np.histogram(progress, 4, (0.0, 1.0))[0].min() > 500

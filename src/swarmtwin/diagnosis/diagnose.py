@@ -12,6 +12,7 @@
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +36,7 @@ from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.diagnosis.screening import sought_kinds
+from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation import Simulation
 
@@ -46,7 +48,8 @@ def diagnose(
 
     Args:
         reference: the simulation, its noise, and the settings of the diagnosis.
-        measured: the recording in question; nothing but its runs is looked at.
+        measured: the recording in question; nothing but its runs is looked at. Of fewer than 40, long ones are cut
+            into blocks, which stand for runs: in what is held out, in intervals, in what the result says.
         seed: of everything random.
         progress: called with what is being done, and how far it is.
 
@@ -56,6 +59,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
 
     # 1. Reference and residual
+    measured = replace(measured, tracks=in_blocks(measured.tracks, fewest=40))
     session, believable, set_aside = reference.comparable(measured)
     runs = HeldOutRuns(reference, session, measured, believable, seed)
     held_out = runs.rows
@@ -146,8 +150,8 @@ class DependenceTests:
 def find_causes(reference: Reference, model: SessionLikelihood, progress: Progress | None) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
     kinds, session = sought_kinds(model), model.session
-    every = -(-len(session) // reference.settings.search.most_transitions)
-    part = model if every <= 1 else reference.likelihood_of(session.where(session.run % every == 0))
+    most = reference.settings.search.most_transitions
+    part = model if len(session) <= most else reference.likelihood_of(session.where(session.spread_over(most)))
     return CauseSearch(part, kinds, progress, lambda: usual_loss(reference, kinds)).run()
 
 

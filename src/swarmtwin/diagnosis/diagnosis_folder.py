@@ -10,6 +10,7 @@ from swarmtwin.diagnosis.next_recording import DRIVE_FILE
 from swarmtwin.diagnosis.result import DiagnosedSession
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
+from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation_folder import save_extended
 
@@ -27,7 +28,8 @@ def extension_provenance(
     """Describe where an extended simulation comes from: it has seen the reference and the fitted measured runs."""
     transitions, held_out = diagnosed.transitions, diagnosed.held_out
     names = [{transitions.runs[index] for index in np.unique(transitions.run[mask])} for mask in (~held_out, held_out)]
-    fitted = tuple(track.digest() for track in measured.tracks if track.run in names[0])
+    seen = names[0] | {run_of(name) for name in names[0]}
+    fitted = tuple(track.digest() for track in measured.tracks if track.run in seen)
     gain = diagnosed.result.gain
     outcome = SeedOutcome(
         seed=seed,

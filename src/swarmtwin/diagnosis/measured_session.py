@@ -156,6 +156,21 @@ class MeasuredSession:
             for begin in range(0, len(chain), longest)
         ]
 
+    def spread_over(self, most: int, longest: int = 400) -> np.ndarray:
+        """Return a mask (N,) of `most` transitions or about as few, of every second, third, … run.
+
+        A run of more than `longest` periods counts as several, one after the other: the whole session is looked at,
+        however few its runs are.
+        """
+        every = -(-len(self) // most)
+        began_s = np.full(self.runs, np.inf)
+        np.minimum.at(began_s, self.run, self.transitions.time_s)
+        periods = (self.transitions.time_s - began_s[self.run]) / self.transitions.robot.period_s
+        part = np.column_stack([self.run, np.floor(np.round(periods, 6) / longest)])
+        _, number = np.unique(part, axis=0, return_inverse=True)
+        chosen: np.ndarray = number % every == 0
+        return chosen
+
     def under(self, conditions: SessionConditions) -> "MeasuredSession":
         """Return the same transitions under other conditions."""
         return replace(self, conditions=conditions)

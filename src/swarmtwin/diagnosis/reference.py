@@ -164,7 +164,7 @@ class Reference:
         base.motion_noise = MotionNoise.estimate(session.transitions, one_step.numpy())
         measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
         errors = log_map(displacement_between(exp_map(twist), measured)).numpy()
-        rows = _evenly_chosen(session, settings.reference.most_transitions)
+        rows = session.spread_over(settings.reference.most_transitions)
         part, own = session.where(rows), cross_fitted.of_rows(rows)
         first = Noise.learn(errors[rows], twist[rows].numpy(), part, settings.noise)
         rough = SessionLikelihood(own, first, part, settings=settings)
@@ -198,7 +198,7 @@ class Reference:
 
         None: of as many as its noise is learned from.
         """
-        rows = _evenly_chosen(self.session, most or self.settings.reference.most_transitions)
+        rows = self.session.spread_over(most or self.settings.reference.most_transitions)
         count = int(rows.sum())
         if count not in self._own_likelihoods:
             own = self.cross_fitted.of_rows(rows)
@@ -317,12 +317,6 @@ def require_enough(session: MeasuredSession, settings: ReferenceSettings, what: 
         raise UserError(
             f"the {what} recording has one constant command throughout: nothing can be told apart; vary the commands"
         )
-
-
-def _evenly_chosen(session: MeasuredSession, most: int) -> np.ndarray:
-    """Return (N,) which transitions are of every second, third, … run, so that they are `most` or about as few."""
-    chosen: np.ndarray = session.run % -(-len(session) // most) == 0
-    return chosen
 
 
 def _twist(base: DynamicsModel, session: MeasuredSession) -> Tensor:

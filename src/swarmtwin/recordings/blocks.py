@@ -18,11 +18,12 @@ def enough_runs(count: int, fewest: int = 8) -> bool:
     return count >= fewest
 
 
-def in_blocks(tracks: Sequence[Track], *, blocks: int = 40, shortest: int = 40) -> tuple[Track, ...]:
+def in_blocks(tracks: Sequence[Track], *, fewest: int = 8, blocks: int = 40, shortest: int = 40) -> tuple[Track, ...]:
     """Cut the runs of a recording that has too few of them; one that has enough stays as it is.
 
     Args:
         tracks: of the recording, in order of run.
+        fewest: so many runs are enough.
         blocks: about how many there are to be in all: enough that a tenth of them is several.
         shortest: least periods in a block; a run that does not hold two such is not cut.
 
@@ -30,7 +31,7 @@ def in_blocks(tracks: Sequence[Track], *, blocks: int = 40, shortest: int = 40) 
         tracks in order of run, block and vehicle. All vehicles of a run are cut at the same times.
     """
     runs = [list(own) for _, own in itertools.groupby(tracks, key=lambda track: track.run)]
-    if enough_runs(len(runs)):
+    if enough_runs(len(runs), fewest):
         return tuple(tracks)
     each = -(-blocks // max(1, len(runs)))
     return tuple(itertools.chain.from_iterable(_cut(own, min(each, max(map(len, own)) // shortest)) for own in runs))
