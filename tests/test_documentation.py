@@ -126,6 +126,28 @@ def test_what_the_readme_says_of_models_is_what_they_were_measured_with():
         assert (table.position_mm_over_seeds[list(models)] < limit).all()
 
 
+def test_what_is_said_of_policies_is_what_ten_seeds_did():
+    """The README's row, and the table of the results: least and most success in simulation and on stand-ins."""
+    said = (DOCS / "results.md").read_text()
+    for file in sorted((DOCS / "results" / "policy_seeds").glob("*/metrics.json")):
+        found = json.loads(file.read_text())
+        shares = [[100 * share for share in found["success"][of].values()] for of in ("simulation", "other_vehicles")]
+        (row,) = re.findall(rf"^ *\| .*policy_seeds/{file.parent.name}/report.md.*$", said, re.MULTILINE)
+        cells = [cell.strip() for cell in row.strip("| ").split("|")][1:]
+        assert int(cells[2]) == found["seeds_as_asked"]
+        for cell, own in zip(cells, shares, strict=False):
+            least, most = f"{min(own):.1f}".removesuffix(".0"), f"{max(own):.1f}".removesuffix(".0")
+            assert [one.removesuffix(".0") for one in re.findall(r"[\d.]+", cell)] == [least, most], (
+                file.parent.name,
+                cell,
+            )
+        if file.parent.name == "collective_room":
+            (row,) = [line for line in README.read_text().splitlines() if "Five vehicles gather" in line]
+            assert f"ten of ten seeds succeed in {min(shares[1]):.1f} to {max(shares[1]):.1f} %" in row
+            chance = found["share_as_asked"]
+            assert f"{100 * chance['low']:.0f} to {100 * chance['high']:.0f} %" in row
+
+
 def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
     file = DOCS / "results" / "hidden_effects" / "metrics.json"
     if not file.is_file():
