@@ -135,7 +135,7 @@ lint: setup
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-paper: setup  # what was broken off goes on
+paper: setup .venv/services  # what was broken off goes on
 	$(BIN)/dvc repro docs/results/dvc.yaml
 
 docs: .venv/docs  # a link, a section or a file that is not there is an error

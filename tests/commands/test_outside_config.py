@@ -69,6 +69,18 @@ def test_a_robot_from_outside_chooses_nothing_but_a_robot(own, workplace, capfd,
     assert not (workplace / "out").exists()
 
 
+@pytest.mark.parametrize("named", ["hydra.searchpath=[file://{}]", "hydra.searchpath=['pkg://mine','{}']"])
+def test_a_folder_in_hydras_search_path_is_read_as_data_too(own, workplace, capfd, named):
+    folder = own.parents[1]
+    own.write_text(ROBOT)
+    options = [named.format(folder), "robot=mine", "recording=nowhere", "output=out"]
+    assert run_command("prepare", options) == 2
+    assert "nowhere" in capfd.readouterr().err  # the robot was found
+    own.write_text(ROBOT + "note: {_target_: os.system}\n")
+    assert run_command("prepare", options) == 2
+    assert "'_target_' would choose code" in capfd.readouterr().err
+
+
 def test_the_pickle_would_have_run(own, workplace):
     """Else the tests above showed nothing."""
     np.load("code.pickle", allow_pickle=True)

@@ -1,4 +1,4 @@
-"""Configurations from outside, by --config-dir: plain data, which choose neither code nor Hydra's settings."""
+"""Configurations from outside (--config-dir, hydra.searchpath): plain data, which choose no code and no settings."""
 
 import itertools
 import re
@@ -24,7 +24,7 @@ def check_outside_configs(arguments: Sequence[str], most_files: int = 1000) -> N
     for folder in _folders(arguments):
         files = list(itertools.islice(sorted(folder.rglob("*.y*ml")), most_files + 1))
         if len(files) > most_files:
-            raise UserError(f"--config-dir={folder} holds more than {most_files} YAML files: name the folder itself")
+            raise UserError(f"{folder} holds more than {most_files} YAML files: name the folder itself")
         for file in files:
             _check(file)
 
@@ -35,6 +35,9 @@ def _folders(arguments: Sequence[str]) -> Iterator[Path]:
             yield Path(following)
         elif named := re.match(r"(?:--config-dir|-cd|--config-path|-cp)=(.+)", argument):
             yield Path(named[1])
+        elif named := re.match(r"hydra\.searchpath=\[?([^\]]*)", argument):
+            places = (place.strip(" '\"") for place in named[1].split(","))
+            yield from (Path(place.removeprefix("file://")) for place in places if not place.startswith("pkg://"))
 
 
 def _check(file: Path) -> None:
