@@ -33,8 +33,14 @@ def in_blocks(tracks: Sequence[Track], *, fewest: int = 8, blocks: int = 40, sho
     runs = [list(own) for _, own in itertools.groupby(tracks, key=lambda track: track.run)]
     if enough_runs(len(runs), fewest):
         return tuple(tracks)
-    each = -(-blocks // max(1, len(runs)))
-    return tuple(itertools.chain.from_iterable(_cut(own, min(each, max(map(len, own)) // shortest)) for own in runs))
+    return tuple(
+        itertools.chain.from_iterable(one_in_blocks(own, len(runs), blocks=blocks, shortest=shortest) for own in runs)
+    )
+
+
+def one_in_blocks(tracks: Sequence[Track], runs: int, *, blocks: int = 40, shortest: int = 40) -> Iterator[Track]:
+    """Cut one run of a recording that has so few `runs`; otherwise as `in_blocks`, which cuts all of them."""
+    yield from _cut(tracks, min(-(-blocks // max(1, runs)), max(map(len, tracks)) // shortest))
 
 
 def _cut(tracks: Sequence[Track], count: int) -> Iterator[Track]:

@@ -17,11 +17,11 @@ import yaml
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
-from swarmtwin.recordings.blocks import enough_runs, in_blocks
+from swarmtwin.recordings.blocks import enough_runs, one_in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
-from swarmtwin.recordings.tables import RunTable, parse_run, parse_runs_together
+from swarmtwin.recordings.tables import RunTable, count_runs, parse_run, parse_runs_together
 from swarmtwin.recordings.tracks import tracks_of
 from swarmtwin.robot import Robot
 
@@ -60,8 +60,7 @@ def read_in_parts(
         robot: whose it is.
         take: given the recording's parts one after the other, each of whole runs, in order. What it makes of them is
             to be thrown away if an error follows: the recording is judged when all of it has been read.
-        rows_at_a_time: about so many rows make a part, or one run does that has more. A recording with so few runs that
-            they may have to be cut is kept until all are known.
+        rows_at_a_time: about so many rows make a part, or one run does that has more.
 
     Returns:
         What is known of the whole; its tracks, which `take` was given, are left out.
@@ -72,7 +71,7 @@ def read_in_parts(
     folder = Path(folder)
     header, files = look_into(folder, robot)
     _log_others(folder / RUNS_FOLDER)
-    parts = _Parts(Recording(robot, header, ()), take, rows_at_a_time)
+    parts = _Parts(Recording(robot, header, ()), take, rows_at_a_time, _runs_in(files))
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
@@ -94,7 +93,9 @@ def read_in_parts(
         raise UserError(f"{folder}: {error}") from None
     for warning in warnings:
         logger.warning("%s: %s", folder, warning)
-    parts.give_rest(folder)
+    if parts.blocks > len({span.run for span in parts.spans}):
+        logger.info("%s: few runs, taken as %d blocks", folder, parts.blocks)
+    parts.give_all()
     return Recording(robot, header, (), dict(dropped), digest.hexdigest(), warnings, sent)
 
 
@@ -110,19 +111,23 @@ class _Span(NamedTuple):
 class _Parts:
     """Puts runs together to parts as they are read, lets what it is judged by pass by, and gives the parts away.
 
+    Of so few runs that these have to be cut, each is cut as it is read.
+
     Attributes:
         spans: of the tracks so far, in order.
         rows: what the recording is judged by.
         in_degrees: the same with headings taken for degrees, from the first run on that has one beyond a turn; None
             where there is none.
+        blocks: so many runs, or blocks of these, there were so far.
     """
 
-    def __init__(self, whole: Recording, take: Callable[[Recording], None], rows_at_a_time: int) -> None:
+    def __init__(self, whole: Recording, take: Callable[[Recording], None], rows_at_a_time: int, runs: int) -> None:
         self.spans: list[_Span] = []
         self.rows = SampledRows(whole.robot)
         self.in_degrees: SampledRows | None = None
         self._whole, self._take, self._rows_at_a_time = whole, take, rows_at_a_time
-        self._runs = 0
+        self.blocks = 0
+        self._runs = runs
         self._beyond_a_turn = False
         self._waiting: list[Track] = []
         self._unjudged: list[Track] = []
@@ -134,11 +139,12 @@ class _Parts:
         self._beyond_a_turn |= bool(np.any(np.abs(table.pose[:, 2]) > 2 * np.pi))
         if not tracks:
             return
-        self._runs += 1
         self.spans += [
             _Span(track.vehicle, float(track.time_s[0]), float(track.time_s[-1]), track.run) for track in tracks
         ]
-        self._waiting += tracks
+        blocks = list(tracks if enough_runs(self._runs) else one_in_blocks(tracks, self._runs))
+        self.blocks += len({block.run for block in blocks})
+        self._waiting += blocks
         self._unjudged += tracks
         self._unjudged_rows += sum(map(len, tracks))
         if self._beyond_a_turn:
@@ -147,9 +153,7 @@ class _Parts:
             self._unjudged_in_degrees += tracks_of(table.with_headings_in_degrees(), tracks[0].run, known)[0]
         if self._unjudged_rows >= self._rows_at_a_time:
             self.judge_all()
-            if enough_runs(self._runs):
-                self._give(self._waiting)
-                self._waiting = []
+            self.give_all()
 
     def judge_all(self) -> None:
         """Let what has not yet been looked at pass by."""
@@ -158,25 +162,25 @@ class _Parts:
             self.in_degrees.add(self._unjudged_in_degrees)
         self._unjudged, self._unjudged_in_degrees, self._unjudged_rows = [], [], 0
 
-    def give_rest(self, folder: Path) -> None:
-        """Give away what is left when all runs are known, cut into blocks where they are few."""
-        rest: Sequence[Track] = self._waiting
-        if not enough_runs(self._runs):
-            rest = in_blocks(rest)
-            if len(rest) > len(self._waiting):
-                blocks = len({track.run for track in rest})
-                logger.info("%s: %d runs, taken as %d blocks", folder, self._runs, blocks)
+    def give_all(self) -> None:
+        """Give away what waits, in parts of whole runs or blocks."""
         part: list[Track] = []
-        for _, run in itertools.groupby(rest, key=lambda track: track.run):
+        for _, run in itertools.groupby(self._waiting, key=lambda track: track.run):
             part += run
             if sum(map(len, part)) >= self._rows_at_a_time:
                 self._give(part)
                 part = []
         if part:
             self._give(part)
+        self._waiting = []
 
     def _give(self, tracks: Sequence[Track]) -> None:
         self._take(replace(self._whole, tracks=tuple(tracks)))
+
+
+def _runs_in(files: Sequence[Path], most: int = 1000) -> int:
+    """Return how many runs there are in files, or `most` if there are more."""
+    return count_runs(files[0], most) if files[0].name == RUNS_FILE else len(files)
 
 
 def _run_tables(files: Sequence[Path], robot: Robot, digest: "hashlib._Hash") -> Iterator[tuple[str, RunTable]]:

@@ -226,6 +226,20 @@ def parse_runs_together(file: Path, robot: Robot) -> Iterator[tuple[str, RunTabl
         raise fault(file, "there are no rows", "record again, or remove the file")
 
 
+def count_runs(file: Path, most: int) -> int:
+    """Return how many runs a Parquet file of many runs holds; `most` where it is more, or where it cannot be read."""
+    names: set[str] = set()
+    try:
+        with pa.parquet.ParquetFile(file, buffer_size=2**20) as parquet:
+            for batch in parquet.iter_batches(250_000, columns=[RUN_COLUMN], use_threads=False):
+                names.update(filter(None, pc.unique(batch.column(0).cast(pa.string())).to_pylist()))
+                if len(names) >= most:
+                    break
+    except (pa.ArrowException, OSError, ValueError, IndexError):
+        return most  # whoever reads it says what is wrong
+    return min(len(names), most)
+
+
 def _rows_by_run(file: Path, parquet: pa.parquet.ParquetFile, robot: Robot) -> Iterator[tuple[str, int, pa.Table]]:
     """Yield runs of equal names as they stand: name, number of the first row from 1, rows."""
     begun: list[pa.Table] = []
