@@ -153,7 +153,7 @@ def test_it_drives_to_the_target_and_leaves_a_recording_figures_and_a_run(stage,
     assert about["outcome"]["ending"] == "done"
     assert Path("out/paths.png").exists()
     assert not Path("out", CHECKPOINTS).exists()
-    [run] = mlflow.search_runs(experiment_names=["deployment"], output_format="list")
+    [run] = mlflow.search_runs(experiment_names=["swarmtwin/deployment"], output_format="list")
     assert run.data.metrics["robots_reward"] == pytest.approx(metrics["robots"]["reward"])
     assert run.data.tags["ending"] == "done"
 

@@ -89,7 +89,7 @@ def test_the_extended_simulation_is_a_dynamics_model_like_any_other(drives, diag
 
 def test_its_run_names_reference_and_measured_session_with_digests_of_their_own(drives, diagnosed):
     (run,) = mlflow.search_runs(
-        experiment_names=["diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
+        experiment_names=["swarmtwin/diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
     )
     recordings = {name: read_recording(drives / name, robot_named("mgr")) for name in ("reference", "sag")}
     assert {(each.dataset.name, each.tags[0].value, each.dataset.digest) for each in run.inputs.dataset_inputs} == {
@@ -100,7 +100,7 @@ def test_its_run_names_reference_and_measured_session_with_digests_of_their_own(
 
 def test_its_run_says_in_a_sentence_what_was_found_and_keeps_the_report(diagnosed):
     (run,) = mlflow.search_runs(
-        experiment_names=["diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
+        experiment_names=["swarmtwin/diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
     )
     note = run.data.tags["mlflow.note.content"]
     assert note == verdict_words(read_result(diagnosed))

@@ -107,7 +107,7 @@ def test_the_best_is_chosen_by_validation_and_never_by_the_test(swarmtwin, model
         assert (workshop / "out" / "best" / file).read_bytes() == (models["rough"] / file).read_bytes()
     assert "rough *" in answer.shown
     use_store()
-    (run,) = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    (run,) = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
     assert run.data.tags["best_model"] == "rough"
 
 

@@ -22,7 +22,7 @@ TRAIN = ("train", "model=mlp", "model.steps=60", "recipe.batch_size=128", "seeds
 
 def runs():
     use_store()
-    return mlflow.search_runs(experiment_names=["generator"], output_format="list")
+    return mlflow.search_runs(experiment_names=["swarmtwin/generator"], output_format="list")
 
 
 def test_the_whole_way_to_a_simulation_on_a_machine_without_recordings(swarmtwin, workshop):

@@ -93,7 +93,7 @@ def test_trainings_side_by_side_are_those_of_one_after_the_other(command, worksh
         weights = [(workshop / place / steps / "weights.safetensors").read_bytes() for place in ("alone", "beside")]
         assert weights[0] == weights[1]
     mlflow.set_tracking_uri(f"sqlite:///{workshop / 'mlflow.db'}")
-    runs = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    runs = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
     parents = [run.data.tags.get("mlflow.parentRunId") for run in runs]
     assert len(runs) == 6
     assert sorted(parents.count(run.info.run_id) for run in runs) == [0, 0, 0, 0, 2, 2]

@@ -47,7 +47,7 @@ def still_challenger(workshop, robots):
 
 def runs():
     use_store()
-    return mlflow.search_runs(experiment_names=["policy"], output_format="list")
+    return mlflow.search_runs(experiment_names=["swarmtwin/policy"], output_format="list")
 
 
 @pytest.mark.usefixtures("still_challenger")

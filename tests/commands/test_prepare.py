@@ -138,7 +138,7 @@ def test_a_warning_stays_with_what_is_prepared_and_learned(swarmtwin, workshop):
     options = ("model=kinematic", "model.steps=5", "seeds=1", "register=false", "pictures=false")
     assert swarmtwin("train", "transitions=prepared", *options, "output=model").status == 0
     use_store()
-    (run,) = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    (run,) = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
     assert run.data.tags["recording.warnings"] == warning
 
 

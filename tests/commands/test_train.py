@@ -43,7 +43,7 @@ EpochHistory.on_train_epoch_end = close_and_wait
 def runs():
     """The runs in this folder's store, the newest first."""
     use_store()
-    return mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    return mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
 
 
 def inputs_of(run):

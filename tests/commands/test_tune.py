@@ -76,7 +76,7 @@ def test_two_workers_share_a_study_and_a_later_call_continues_it(swarmtwin, work
     assert f"recipe.batch_size={best.params['recipe.batch_size']}" in answer.shown
 
     use_store()
-    runs = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    runs = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
     parents = {run.info.run_id: [] for run in runs if run.data.tags.get("kind") == "study"}
     for run in runs:
         if run.info.run_id not in parents:
@@ -115,7 +115,7 @@ def test_what_was_found_are_configurations_that_name_their_study(swarmtwin, work
 
     use_store()
     (parent,) = mlflow.search_runs(
-        experiment_names=["dynamics"], filter_string="tags.kind = 'study'", output_format="list"
+        experiment_names=["swarmtwin/dynamics"], filter_string="tags.kind = 'study'", output_format="list"
     )
     kept = {artifact.path for artifact in mlflow.MlflowClient().list_artifacts(parent.info.run_id, "study")}
     pictures = ("history", "importances", "parallel_coordinates")
@@ -138,7 +138,7 @@ def test_a_generator_is_searched_as_a_model_is(swarmtwin, workshop):
     assert described["learning_rate"] == found["generator.learning_rate"]
     assert described["steps"] == 20
     use_store()
-    runs = mlflow.search_runs(experiment_names=["generator"], filter_string="", output_format="list")
+    runs = mlflow.search_runs(experiment_names=["swarmtwin/generator"], filter_string="", output_format="list")
     assert sorted(run.info.run_name for run in runs if "kind" not in run.data.tags) == [
         *("gans trial 0", "gans trial 1", "mgr-gan")
     ]

@@ -360,13 +360,13 @@ def test_queued_experiments_compute_with_their_own_parameters(repository):
         assert described["model"]["steps"] == count
     store = f"sqlite:///{repository / 'mlflow.db'}"
     client = mlflow.MlflowClient(store)
-    experiment = client.get_experiment_by_name("dynamics")
+    experiment = client.get_experiment_by_name("swarmtwin/dynamics")
     runs = client.search_runs([experiment.experiment_id], filter_string="params.`model.name` = 'mlp'")
     assert set(map(str, steps)) <= {run.data.params["model.steps"] for run in runs}
     for run in runs:
         (output,) = run.outputs.model_outputs
         kept = Path(client.get_logged_model(output.model_id).artifact_location.removeprefix("file://"))
-        assert kept.is_relative_to(repository / "mlruns" / "dynamics")
+        assert kept.is_relative_to(repository / "mlruns" / "swarmtwin" / "dynamics")
         assert (kept / "data" / "model" / "model.yaml").exists()
 
 

@@ -52,7 +52,7 @@ def test_runs_of_a_sweep_have_one_parent_also_from_other_processes(workplace):
         assert run_forked(script) == 0
     with tracked_run("dynamics", "afterwards", CONFIG):
         pass
-    runs = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+    runs = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
     parents = {run.info.run_name: run.data.tags.get("mlflow.parentRunId") for run in runs}
     assert parents.pop("model=crnet,lstm") is None
     assert parents == {"here": parent, "child": parent, "afterwards": None}
@@ -140,7 +140,7 @@ def test_a_database_may_be_named_from_the_working_folder(workplace, monkeypatch)
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "sqlite:///runs.db")
     with tracked_run("dynamics", "x", {}) as run:
         pass
-    assert (workplace / "mlruns" / "dynamics" / run.run_id / "artifacts" / "config.yaml").exists()
+    assert (workplace / "mlruns" / "swarmtwin" / "dynamics" / run.run_id / "artifacts" / "config.yaml").exists()
 
 
 def test_runs_whose_process_was_killed_are_closed_by_the_next(workplace):
@@ -151,7 +151,7 @@ def test_runs_whose_process_was_killed_are_closed_by_the_next(workplace):
     assert run_forked(script) == -9
 
     def statuses():
-        found = mlflow.search_runs(experiment_names=["dynamics"], output_format="list")
+        found = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
         return {run.info.run_name: run.info.status for run in found}
 
     use_store()

@@ -94,7 +94,9 @@ def _write_files(options: Options, folder: Path, origin: str) -> None:
     )
     (folder / "conf" / "robot").mkdir(parents=True)
     (folder / "conf" / "robot" / f"{options.name}.yaml").write_text(text)
-    told = {"robot": options.name, "project": options.output.absolute().name, "origin": origin}
+    project = options.output.absolute().name
+    experiments = re.sub(r"[^\w.-]+", "_", project)  # a word for shell, YAML and MLflow
+    told = {"robot": options.name, "project": project, "experiments": experiments, "origin": origin}
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, keep_trailing_newline=True, autoescape=False)
     for file in sorted((Path(__file__).parent / "project_files").iterdir()):
         (folder / file.name.removesuffix(".jinja")).write_text(environment.from_string(file.read_text()).render(told))

@@ -19,7 +19,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS
 from swarmtwin.tracking.datasets import Dataset, dvc_hashes, log_datasets
 from swarmtwin.tracking.models import ModelKind, log_model
-from swarmtwin.tracking.store import store_errors, use_experiment, use_store
+from swarmtwin.tracking.store import experiment_name, store_errors, use_experiment, use_store
 
 Experiment = Literal["dynamics", "generator", "diagnosis", "policy", "transfer", "deployment"]
 PARENT_RUN = "SWARMTWIN_PARENT_RUN"
@@ -98,7 +98,7 @@ def tracked_run(
     """Open an MLflow run, under the sweep or study that is going on if there is one; close it with how it ended.
 
     Args:
-        experiment: that it belongs to.
+        experiment: that it belongs to, which MLflow knows by `experiment_name`.
         name: of the run.
         config: its options.
         inputs: what it is given.
@@ -113,7 +113,7 @@ def tracked_run(
     hashes = dvc_hashes(dataset.folder for dataset in inputs)
     tags = _tags(hashes, seed)
     with store_errors():
-        use_experiment(experiment)
+        use_experiment(experiment_name(experiment))
         close_orphans(experiment)
         run = mlflow.start_run(
             run_name=name,
@@ -141,7 +141,7 @@ def close_orphans(experiment: Experiment) -> None:
     with store_errors():
         use_store()
         found = mlflow.search_runs(
-            experiment_names=[experiment],
+            experiment_names=[experiment_name(experiment)],
             filter_string="attributes.status = 'RUNNING'",
             output_format="list",
         )
@@ -205,10 +205,10 @@ def open_parent(experiment: Experiment, name: str, kind: Literal["sweep", "study
     """Open a run that groups those started until it is closed, also in other processes; return its id."""
     tags = _tags({}, None)
     with store_errors():
-        use_experiment(experiment)
+        use_experiment(experiment_name(experiment))
         close_orphans(experiment)
         client = mlflow.MlflowClient()
-        found = client.get_experiment_by_name(experiment)
+        found = client.get_experiment_by_name(experiment_name(experiment))
         assert found is not None
         run = client.create_run(found.experiment_id, run_name=name, tags={"kind": kind, **tags})
     os.environ[PARENT_RUN] = run.info.run_id

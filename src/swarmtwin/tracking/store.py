@@ -9,6 +9,7 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from urllib.parse import quote
 
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "WARNING")
@@ -21,6 +22,9 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import whole_file
+
+PROJECT = "SWARMTWIN_PROJECT"
+"""The environment variable that says whose runs these are on a server that several projects share."""
 
 
 @contextlib.contextmanager
@@ -104,8 +108,10 @@ def _follow_moved_files(database: Path, locations: Mapping[str, str]) -> None:
         "logged_models": ("artifact_location",),
         "model_versions": ("source", "storage_location"),
     }
-    names = [name for name, location in locations.items() if location.endswith(f"/mlruns/{name}")]
-    came_with = {locations[name].removesuffix(f"/{name}") for name in names if (here / name).is_dir()}
+    ends = {name: f"/{quote(name)}" for name in locations if (here / name).is_dir()}
+    came_with = {
+        locations[name].removesuffix(end) for name, end in ends.items() if locations[name].endswith(f"/mlruns{end}")
+    }
     for there in came_with - {here.as_uri()}:
         with contextlib.suppress(sqlite3.OperationalError), contextlib.closing(sqlite3.connect(database)) as connection:
             for table, columns in places.items():
@@ -125,8 +131,16 @@ def _make_database(database: Path) -> None:
         mlflow.MlflowClient(f"sqlite:///{aside}").search_experiments(max_results=1)
 
 
+def experiment_name(kind: str) -> str:
+    """Return what MLflow calls an experiment: `swarmtwin/dynamics`, or after the project in `SWARMTWIN_PROJECT`."""
+    return f"{os.environ.get(PROJECT) or 'swarmtwin'}/{kind}"
+
+
 def use_experiment(name: str) -> None:
     """Let runs belong to an experiment of MLflow's, made if need be; beside a database file, files lie in `mlruns/`.
+
+    Args:
+        name: as `experiment_name` makes it.
 
     Raises:
         UserError: the store cannot be used.
