@@ -132,6 +132,7 @@ def bare_workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("SWARMTWIN_PARENT_RUN", raising=False)
+    monkeypatch.delenv("SWARMTWIN_PROJECT", raising=False)
     return tmp_path
 
 

@@ -21,6 +21,7 @@ LOADED_BY_OTHERS = {
     "psycopg": "SQLAlchemy, for PostgreSQL",
     "aiobotocore": "DVC, for buckets, and its boto3 MLflow",
     "dvc-s3": "DVC, for buckets",
+    "psutil": "MLflow, for how busy the machine is",
     "mujoco": "rigid bodies, which look for it by its name",
 }
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]

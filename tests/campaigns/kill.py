@@ -327,8 +327,8 @@ class Campaign:
         return {str(file.relative_to(self.project)): file.read_bytes() for file in made}
 
     def files(self) -> frozenset[str]:
-        """Return what lies in the project, apart from what MLflow, Git, DVC and Python keep for themselves."""
-        own = re.compile(r"(^|/)(mlruns|\.git|\.dvc|__pycache__)(/|$)|(^|/)\.?mlflow\.db[^/]*$|\.journal$")
+        """Return what lies in the project, apart from what MLflow, Optuna, Git, DVC and Python keep for themselves."""
+        own = re.compile(r"(^|/)(mlruns|\.git|\.dvc|__pycache__)(/|$)|(^|/)\.?mlflow\.db[^/]*$|\.db(-journal)?$")
         names = (str(file.relative_to(self.project)) for file in self.project.rglob("*"))
         return frozenset(name for name in names if not own.search(name))
 

@@ -1,6 +1,7 @@
 """A lab's own project: what `swarmtwin new` lays out is whole, and its pipeline runs where swarmtwin is installed."""
 
 import os
+import re
 import shutil
 import site
 import subprocess
@@ -49,6 +50,19 @@ def test_its_stages_call_commands_with_options_that_they_have(bare_workplace, mo
     assert {file.partition("/")[0] for file in content["metrics"]} == {"artifacts"}
 
 
+@pytest.mark.parametrize(("folder", "project"), [("my-lab", "my-lab"), ("Müller's #1 lab", "Müller_s_1_lab")])
+def test_its_runs_carry_its_name(bare_workplace, folder, project):
+    """In the pipeline, and in a shell where what the README says was typed."""
+    assert run_command("new", [f'output="{folder}"', "runs=8", "steps=5"]) == 0
+    variables = yaml.safe_load((bare_workplace / folder / "dvc.yaml").read_text())["vars"]
+    (call,) = (one["swarmtwin"] for one in variables if "swarmtwin" in one)
+    readme = (bare_workplace / folder / "README.md").read_text()
+    (export,) = re.findall("^export .*$", readme, re.MULTILINE)
+    for said in (f"{call.removesuffix('swarmtwin')} env", f"{export}; env"):
+        shown = subprocess.run(["sh", "-c", said], capture_output=True, text=True, check=True).stdout
+        assert f"SWARMTWIN_PROJECT={project}\n" in shown
+
+
 def test_a_recording_of_ones_own_becomes_the_first(bare_workplace, capsys):
     assert run_command("record", ["runs=8", "steps=5", "output=mine"]) == 0
     shutil.copy("mine/recording.yaml", "before.yaml")
@@ -94,7 +108,7 @@ def test_its_pipeline_runs_with_the_installed_wheel(tmp_path):
     (packages / "others.pth").write_text("\n".join(site.getsitepackages()))  # what it needs, installed there already
     install = [binaries / "pip", "install", "--quiet", "--no-deps", *tmp_path.glob("*.whl")]
     subprocess.run(install, check=True)
-    left_out = ("PYTHONPATH", "SWARMTWIN_PLUGINS", "SWARMTWIN_PRELOADED", "MLFLOW_TRACKING_URI")
+    left_out = ("PYTHONPATH", "SWARMTWIN_PLUGINS", "SWARMTWIN_PROJECT", "SWARMTWIN_PRELOADED", "MLFLOW_TRACKING_URI")
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
     environment["PATH"] = f"{binaries}:{environment['PATH']}"
 
@@ -110,5 +124,5 @@ def test_its_pipeline_runs_with_the_installed_wheel(tmp_path):
     call("python", "-m", "dvc", "repro", "--quiet", folder=project)
     for model in ("kinematic", "mlp"):
         assert (project / "artifacts" / "evaluation" / model / "metrics.json").is_file()
-    assert (project / "mlflow.db").is_file()
+    assert (project / "mlruns" / "my-lab" / "dynamics").is_dir()
     assert "didn't change" in call("python", "-m", "dvc", "repro", folder=project)

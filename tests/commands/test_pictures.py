@@ -62,7 +62,11 @@ def test_so_are_comparisons_and_a_command_can_leave_drawing_to_it(swarmtwin, mod
     assert {name: picture for name, picture in drawn.items() if not name.startswith("best/")} == again == later
     assert not {name for name in bare if not name.startswith("best/")}
     use_store()
-    asked = {"experiment_names": ["swarmtwin/dynamics"], "filter_string": "params.output = 'bare'", "output_format": "list"}
+    asked = {
+        "experiment_names": ["swarmtwin/dynamics"],
+        "filter_string": "params.output = 'bare'",
+        "output_format": "list",
+    }
     (run,) = mlflow.search_runs(**asked)
     kept = mlflow.MlflowClient().list_artifacts(run.info.run_id, "pictures")
     assert {Path(entry.path).name for entry in kept} - {"provenance.json"} == set(again)

@@ -2,6 +2,7 @@
 
 import re
 
+import mlflow
 import numpy as np
 import pytest
 import yaml
@@ -116,6 +117,45 @@ def test_a_better_model_is_promoted_and_a_worse_one_is_not(promote, model, works
         assert float(found["change"]) == pytest.approx(expected, abs=0.006)
         assert float(found["low"]) < float(found["change"]) < float(found["high"])
     assert re.search(FIGURES, registry.holder(NAME, "champion").tags["promoted_because"])
+
+
+def test_the_page_of_a_champion_says_what_it_was_measured_on_against_whom_and_how_sure_that_is(
+    promote, swarmtwin, model, workshop, robots, crown
+):
+    rough, good = model("rough"), model("mlp")
+    crown(rough)
+    assert promote(good).status == 0
+    errors = [errors_by_hand(folder, workshop / "other_vehicle", robots["mgr"]) for folder in (good, rough)]
+    because, _, *lines = page_of(2).splitlines()[:6]
+    found = re.fullmatch(
+        r"A dynamics model of robot `mgr`, `mlp`, trained on real transitions\. It became champion because its "
+        r"one-step error is (?P<gain>\S+)% smaller \(95 % interval (?P<least>\S+)% to (?P<most>\S+)% smaller\) "
+        rf"than that of {NAME} version 1\.",
+        because,
+    )
+    assert float(found["gain"]) == pytest.approx(-change_by_hand(*errors), abs=0.06)
+    assert float(found["least"]) < float(found["gain"]) < float(found["most"])
+    recording = read_recording(workshop / "other_vehicle", robots["mgr"])
+    assert lines[:3] == [
+        f"- **Measured on** 10 runs, {len(errors[0][0])} transitions, of the recording `other_vehicle`, of which "
+        f"neither model has seen any (its source: {recording.header.source}).",
+        f"- **Compared with** {NAME} version 1, the champion before it.",
+        f"- **Promoted by** `swarmtwin promote candidate={good} recording=other_vehicle`",
+    ]
+    assert lines[3].startswith(f"- **Made by** [the run `register {good}`](#/experiments/")
+    assert page_of(1) is None
+
+
+def test_the_page_of_the_first_champion_shows_what_was_drawn_when_it_was_trained(promote, knowing):
+    (knowing / "history.png").write_bytes(b"drawn")
+    assert promote(knowing).status == 0
+    page = page_of(1)
+    assert "**Compared with** the kinematic model fitted to its validation runs: there was no champion" in page
+    assert f"![history.png](model-versions/get-artifact?name={NAME}&version=1&path=data%2Fmodel%2Fhistory.png)" in page
+
+
+def page_of(number):
+    return mlflow.MlflowClient().get_model_version(NAME, str(number)).description
 
 
 def test_promoting_the_champion_again_changes_nothing(promote, model, crown):

@@ -1,6 +1,10 @@
 """`swarmtwin promote what=policy`: a policy becomes champion by what it does on stand-ins, and the way back is open."""
 
+import json
+
+import mlflow
 import pytest
+import yaml
 
 from swarmtwin.tracking import registry
 from tiny_policies import save_seeker, simulation
@@ -22,6 +26,10 @@ def champion_number():
     return champion and champion.number
 
 
+def page_of(number):
+    return mlflow.MlflowClient().get_model_version(NAME, str(number)).description
+
+
 def test_a_policy_that_stands_still_is_refused_and_one_that_arrives_is_not(promote, workshop):
     still = promote(save_seeker(workshop / "still", speed=0.0))
     assert still.status == 3
@@ -32,6 +40,7 @@ def test_a_policy_that_stands_still_is_refused_and_one_that_arrives_is_not(promo
     assert answer.status == 0, answer.error
     assert "every demand is met" in " ".join(answer.shown.split())
     assert champion_number() == 2
+    assert "- **Compared with** no other policy: it is the first champion for its task.\n" in page_of(2)
 
 
 def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_not(
@@ -44,6 +53,11 @@ def test_a_policy_that_is_worse_than_the_champion_is_refused_and_one_as_good_is_
     assert worse.error.endswith(f"{NAME} version 1 stays champion\n")
     assert promote(save_seeker(workshop / "equal", success=0.9), "policy_gate.margin=0").status == 0
     assert champion_number() == 3
+    page = page_of(3)
+    assert "It became champion because it meets every demand (at least 50% success, less than 30% collisions): " in page
+    assert "success +0.0% against the champion (95 % interval +0.0% to +0.0%)." in page
+    assert "- **Measured on** 100 roll-outs on stand-ins, vehicles 2, 3.\n" in page
+    assert f"- **Compared with** {NAME} version 1, the champion before it, from the same starts.\n" in page
     answer = swarmtwin("promote", "what=policy", "rollback=true")
     assert (answer.status, answer.shown) == (0, f"{NAME}: version 1 is champion again, version 3 no longer\n")
     assert champion_number() == 1
@@ -63,6 +77,39 @@ def test_a_policy_is_judged_by_what_was_found_as_a_gap(promote, workshop, robots
     answer = promote(seeker, weak, "policy_gate.least_success=0")
     assert answer.status == 0, answer.error
     assert "in a randomised simulation" in " ".join(answer.shown.split())
+    page = page_of(champion_number())
+    assert "- **Measured on** 100 roll-outs in the simulation that it was learned in, in which `{'gain_change'" in page
+
+
+@pytest.fixture
+def deployed(workshop):
+    """Make folders as `deploy` leaves them, of a policy that always arrived; return the option that names them."""
+
+    def make(policy, name, count):
+        about = {"robot": {"name": "mgr"}, "policy": {"digest": registry.folder_digest(policy)}}
+        robots = {"success": True, "collision": False, "reward": -1.0}
+        folders = [workshop / f"{name}_{number}" for number in range(count)]
+        for folder in folders:
+            folder.mkdir()
+            (folder / "deployment.yaml").write_text(yaml.safe_dump(about))
+            (folder / "metrics.json").write_text(json.dumps({"control": {"ending": "done"}, "robots": robots}))
+        return [folder.name for folder in folders]
+
+    return make
+
+
+def test_the_page_of_a_champion_says_that_deployments_made_it_one(promote, workshop, crown, deployed):
+    first, second, third = (save_seeker(workshop / name, speed=0.9 + n / 100) for n, name in enumerate("abc"))
+    crown(first, NAME, task="collective")
+    folders = deployed(second, "second", 3)
+    gate = ("policy_gate.fewest_deployments=3", f"policy_gate.deployments=[{','.join(folders)}]")
+    assert promote(second, *gate).status == 0
+    assert "- **Measured on** 3 deployments.\n" in page_of(2)
+    assert f"no other policy: {NAME} version 1, the champion before it, was not deployed.\n" in page_of(2)
+    folders += deployed(third, "third", 4)
+    assert promote(third, gate[0], f"policy_gate.deployments=[{','.join(folders)}]").status == 0
+    assert "- **Measured on** 4 deployments.\n" in page_of(3)
+    assert f"**Compared with** {NAME} version 2, the champion before it, in deployments of its own.\n" in page_of(3)
 
 
 def test_a_policy_that_collides_too_often_is_refused(promote, workshop):
@@ -85,6 +132,7 @@ def test_a_champion_for_the_same_task_with_other_settings_is_not_replaced_by_the
     assert champion_number() == 1
     assert promote(other, "policy_gate.other_settings=true").status == 0
     assert champion_number() == 2
+    assert f"no other policy: the task of {NAME} version 1, the champion before it, had other settings." in page_of(2)
 
 
 def test_a_policy_for_another_task_gets_a_champion_of_its_own(promote, swarmtwin, workshop, crown):

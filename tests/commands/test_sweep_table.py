@@ -1,15 +1,20 @@
 """Sweeps: every command and every study takes `-m`, and ends with a table whose first row is the best run."""
 
+import re
 import shutil
 from importlib.resources import files
 from pathlib import Path
 
+import hydra
+import mlflow
 import pytest
 from rich.console import Console
 
 from swarmtwin.commands.catalogue import COMMANDS, Ranking
 from swarmtwin.commands.experiment import experiments, study_module
 from swarmtwin.commands.sweep_table import keep_row, read_rows, sweep_table
+from swarmtwin.configuration import config_folder
+from swarmtwin.tracking.store import use_store
 
 SOURCE = Path(str(files("swarmtwin")))
 MODULES = [
@@ -30,6 +35,26 @@ def lines(table):
 @pytest.mark.parametrize("module", MODULES)
 def test_every_command_and_study_returns_its_headline_figures(module):
     assert "\ndef run(options: Options) -> dict[str, Any]:\n" in (SOURCE / module).read_text()
+
+
+NAMES = [*(name for name in COMMANDS if name != "experiment"), *(f"experiment/{name}" for name in experiments())]
+
+
+def tracked_in(config_name):
+    """The experiments of MLflow's that a command or a study says itself that its runs belong to."""
+    room, _, study = config_name.partition("/")
+    module = study_module(study) if study else f"swarmtwin.commands.{COMMANDS[room].module}"
+    file = SOURCE.parent / f"{module.replace('.', '/')}.py"
+    imported = re.findall(r"^from (swarmtwin\.studies\.\w+\.\w+) import", file.read_text(), re.MULTILINE)
+    texts = [(SOURCE.parent / f"{one.replace('.', '/')}.py").read_text() for one in imported]
+    return set(re.findall(r'\btracked_run\(\s*"(\w+)"', "".join([file.read_text(), *texts])))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_makes_runs_is_swept_under_a_parent_in_their_experiment(name):
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        callbacks = hydra.compose(name, return_hydra_config=True).hydra.callbacks
+    assert {callback.experiment for callback in callbacks.values()} == tracked_in(name)
 
 
 def test_the_best_run_comes_first_and_the_failed_last(tmp_path):
@@ -82,6 +107,12 @@ def test_studies_are_swept_and_one_that_fails_does_not_keep_the_others(swarmtwin
     assert shown["dynamics"][-1] == "out_dynamics"
     assert shown["overview"][1] == "failed:"
     assert (workshop / "out_dynamics" / "table.csv").exists()
+    use_store()
+    runs = mlflow.search_runs(experiment_names=["swarmtwin/dynamics"], output_format="list")
+    parents = {run.info.run_name: run.data.tags.get("mlflow.parentRunId") for run in runs}
+    (parent,) = (run for run in runs if run.data.tags.get("kind") == "sweep")
+    assert parents == {parent.info.run_name: None, "mgr models compared": parent.info.run_id}
+    assert parent.info.status == "FINISHED"
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import re
 import shlex
 import shutil
 import signal
+import sqlite3
 import time
 from pathlib import Path
 
@@ -41,8 +42,7 @@ def without_pictures(request, monkeypatch):
 
 def study(workshop):
     """The study in the storage that the command chose."""
-    backend = JournalFileBackend(str(workshop / "outputs" / "tune" / "mgr-kinematic.journal"))
-    return optuna.load_study(study_name="mgr-kinematic", storage=optuna.storages.JournalStorage(backend))
+    return optuna.load_study(study_name="mgr-kinematic", storage=f"sqlite:///{workshop}/outputs/tune/mgr-kinematic.db")
 
 
 def complete(workshop):
@@ -153,14 +153,65 @@ def test_a_generator_without_a_space_is_told_how_to_give_it_one(swarmtwin):
     )
 
 
+def journal(file):
+    """The storage in a journal file, as Optuna reads it."""
+    return optuna.storages.JournalStorage(JournalFileBackend(str(file)))
+
+
 @pytest.mark.end_to_end
-def test_two_workers_share_a_database_and_a_later_call_continues_it(swarmtwin, workshop):
+def test_two_workers_share_a_journal_and_a_later_call_continues_it(swarmtwin, workshop):
     for workers, trials in ((2, 3), (1, 4)):
         calls = (f"workers={workers}", f"trials={trials}")
-        assert swarmtwin(*SEARCH, "storage=sqlite:///study.db", *calls).status == 0
-        ended = optuna.load_study(study_name="mgr-kinematic", storage="sqlite:///study.db").get_trials()
+        assert swarmtwin(*SEARCH, "storage=study.log", *calls).status == 0
+        ended = optuna.load_study(study_name="mgr-kinematic", storage=journal("study.log")).get_trials()
         assert [trial.state for trial in ended] == [TrialState.COMPLETE] * trials
     assert len({trial.params["recipe.learning_rate"] for trial in ended}) == 4
+
+
+@pytest.mark.parametrize("name", ["one.db", "sqlite:///one.db", "deep/in/one.db", "sqlite:///deep/in/one.db"])
+def test_a_file_that_ends_in_db_is_a_database_in_a_folder_made_for_it(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    SharedStudy("s", name, {"robot": "mgr"}).open().add_trial(optuna.trial.create_trial(value=1.0))
+    url = f"sqlite:///{name.removeprefix('sqlite:///')}"
+    assert [trial.value for trial in optuna.load_study(study_name="s", storage=url).get_trials()] == [1.0]
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["one.db"]
+
+
+@pytest.mark.parametrize("name", ["first try", "a?b", "100%", "{x}", "a#b"])
+def test_any_name_of_a_study_makes_a_database_of_it(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    shared = SharedStudy.named(name, "mgr", None, {"robot": "mgr"})
+    assert shared.open().study_name == name
+    assert len(list((tmp_path / "outputs" / "tune").glob("*.db"))) == 1
+
+
+def add_trials(shared, count, ready, failures):
+    try:
+        ready.wait()
+        study = shared.open()
+        for _ in range(count):
+            trial = study.ask()
+            study.tell(trial, trial.suggest_float("x", 0, 1))
+    except BaseException as error:
+        failures.put(repr(error))
+        raise
+
+
+def test_processes_that_begin_at_once_share_a_database_that_is_yet_to_be_made(tmp_path):
+    """None finds half of the tables, and none gives up while another writes."""
+    fork = multiprocessing.get_context("fork")
+    processes, trials = 4, 5
+    ready, failures = fork.Barrier(processes), fork.SimpleQueue()
+    shared = SharedStudy("s", f"sqlite:///{tmp_path}/s.db", {"robot": "mgr"})
+    workers = [fork.Process(target=add_trials, args=(shared, trials, ready, failures)) for _ in range(processes)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    assert failures.empty(), failures.get()
+    ended = shared.open().get_trials(states=[TrialState.COMPLETE])
+    assert sorted(trial.number for trial in ended) == list(range(processes * trials))
+    assert [path.name for path in tmp_path.iterdir()] == ["s.db"]
 
 
 @pytest.mark.usefixtures("drawn")
@@ -233,11 +284,11 @@ def test_a_hopeless_trial_is_broken_off_and_counts(swarmtwin, workshop):
 
 
 def test_the_same_seed_searches_the_same_values(swarmtwin, workshop):
-    for name in ("one", "two"):
-        assert swarmtwin(*SEARCH, "workers=1", "trials=3", f"storage={name}.journal", "study=same").status == 0
+    """In a database as in a journal."""
     found = []
-    for name in ("one", "two"):
-        storage = optuna.storages.JournalStorage(JournalFileBackend(str(workshop / f"{name}.journal")))
+    for name in ("one.db", "two.journal"):
+        assert swarmtwin(*SEARCH, "workers=1", "trials=3", f"storage={name}", "study=same").status == 0
+        storage = journal(name) if name.endswith(".journal") else f"sqlite:///{name}"
         found.append(optuna.load_study(study_name="same", storage=storage).get_trials())
     assert [(trial.params, trial.value) for trial in found[0]] == [(trial.params, trial.value) for trial in found[1]]
 
@@ -246,14 +297,13 @@ def test_what_a_kill_left_unfinished_is_drawn_again(swarmtwin, workshop):
     for name, calls in (("whole", 1), ("killed", 2)):
         for call in range(1, calls + 1):
             trials = f"trials={3 if call == calls else 1}"
-            assert swarmtwin(*SEARCH, "workers=1", trials, f"storage={name}.journal", "study=same").status == 0
+            assert swarmtwin(*SEARCH, "workers=1", trials, f"storage={name}.db", "study=same").status == 0
             if call < calls:
-                storage = optuna.storages.JournalStorage(JournalFileBackend(str(workshop / f"{name}.journal")))
-                optuna.load_study(study_name="same", storage=storage).ask()
+                optuna.load_study(study_name="same", storage=f"sqlite:///{name}.db").ask()
     found = []
     for name in ("whole", "killed"):
-        storage = optuna.storages.JournalStorage(JournalFileBackend(str(workshop / f"{name}.journal")))
-        ended = optuna.load_study(study_name="same", storage=storage).get_trials(states=[TrialState.COMPLETE])
+        same = optuna.load_study(study_name="same", storage=f"sqlite:///{name}.db")
+        ended = same.get_trials(states=[TrialState.COMPLETE])
         found.append([(trial.params, trial.value) for trial in ended])
     assert found[0] == found[1]
 
@@ -273,19 +323,52 @@ def test_values_stay_within_the_space(swarmtwin, workshop):
         assert trial.params["recipe.batch_size"] in (64, 256)
 
 
+def die(target, *arguments):
+    """Let a process run something that ends with its death."""
+    process = multiprocessing.get_context("fork").Process(target=target, args=arguments)
+    process.start()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+
+
+def write_and_die(database):
+    """Leave a transaction that has reached the file, and is not committed."""
+    connection = sqlite3.connect(database)
+    connection.execute("PRAGMA cache_spill = 1")
+    connection.execute("PRAGMA cache_size = 1")
+    connection.execute("BEGIN")
+    connection.execute("UPDATE trial_values SET value = -1.0")
+    connection.execute(
+        "CREATE TABLE half AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 5000) "
+        "SELECT i, randomblob(100) FROM n"
+    )
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_process_that_was_killed_while_it_wrote_the_database_is_in_nobodys_way(tmp_path):
+    """Neither its lock nor the transaction that it left unfinished."""
+    shared = SharedStudy("s", f"sqlite:///{tmp_path}/s.db", {"robot": "mgr"})
+    shared.open().add_trial(optuna.trial.create_trial(value=1.0))
+    die(write_and_die, tmp_path / "s.db")
+    assert (tmp_path / "s.db-journal").stat().st_size
+    started = time.monotonic()
+    shared.open().add_trial(optuna.trial.create_trial(value=2.0))
+    assert time.monotonic() - started < 5
+    assert [trial.value for trial in shared.open().get_trials()] == [1.0, 2.0]
+    assert [path.name for path in tmp_path.iterdir()] == ["s.db"]
+
+
 def hold(shared):
     backend = shared.open()._storage._backend
     backend._lock.acquire()
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_process_that_was_killed_while_it_wrote_the_study_is_in_nobodys_way(tmp_path):
+def test_a_process_that_was_killed_while_it_wrote_the_journal_is_in_nobodys_way(tmp_path):
     """Neither its lock nor the line that it left unfinished."""
     shared = SharedStudy("s", str(tmp_path / "s.journal"), {"robot": "mgr"})
     shared.open().add_trial(optuna.trial.create_trial(value=1.0))
-    holder = multiprocessing.get_context("fork").Process(target=hold, args=(shared,))
-    holder.start()
-    holder.join()
+    die(hold, shared)
     with (tmp_path / "s.journal").open("a") as journal:
         journal.write('{"op_code": 4, "wor')
     started = time.monotonic()
@@ -352,9 +435,14 @@ def test_a_search_in_which_every_trial_fails_ends(swarmtwin, workshop, caplog):
         ),
         (
             ["storage=reference"],
-            "storage reference cannot be opened (it is a folder): name a journal file, or a database",
+            "storage reference cannot be opened (it is a folder): name a database by its URL, sqlite:///study.db, or",
         ),
         (["storage=reference/recording.yaml"], "storage reference/recording.yaml cannot be opened (Expecting value"),
+        (["storage=sqlite:///reference"], "storage sqlite:///reference cannot be opened (it is a folder)"),
+        (
+            ["storage=sqlite:///reference/recording.yaml"],
+            "storage sqlite:///reference/recording.yaml cannot be opened ((sqlite3.DatabaseError) file is not a",
+        ),
         (["trials=0"], "options: field 'trials': Input should be greater than or equal to 1, got 0"),
         (["workers=0"], "options: field 'workers': Input should be greater than or equal to 1, got 0"),
         (["recording=elsewhere"], "no recording folder elsewhere"),
@@ -398,16 +486,16 @@ def test_a_study_left_unnamed_is_one_of_its_own_for_all_that_changes_its_losses(
         ["recording=pair", "vehicles=1"],
         ["recording=pair", "vehicles=2"],
     ]
-    journals = set()
+    databases = set()
     for change in changes:
         assert swarmtwin(*common, *change).status == 0
-        found = {path.stem for path in (workshop / "outputs" / "tune").glob("*.journal")}
-        assert len(found - journals) == 1, change
-        journals |= found
-    assert all(re.fullmatch("mgr-kinematic-[0-9a-f]{8}", name) for name in journals)
+        found = {path.stem for path in (workshop / "outputs" / "tune").glob("*.db")}
+        assert len(found - databases) == 1, change
+        databases |= found
+    assert all(re.fullmatch("mgr-kinematic-[0-9a-f]{8}", name) for name in databases)
     for same in ([], ["seed=2"], ["recipe.weight_decay=0.3"], ["trials=2"]):
         assert swarmtwin(*common, *same).status == 0
-    assert {path.stem for path in (workshop / "outputs" / "tune").glob("*.journal")} == journals
+    assert {path.stem for path in (workshop / "outputs" / "tune").glob("*.db")} == databases
 
 
 def test_a_named_study_takes_no_trials_of_anything_else(swarmtwin, workshop):
@@ -415,8 +503,8 @@ def test_a_named_study_takes_no_trials_of_anything_else(swarmtwin, workshop):
     answer = swarmtwin(*SEARCH, "recording=other_vehicle", "recipe.epochs=2", "workers=1", "trials=2")
     assert answer.status == 2
     assert answer.error.splitlines()[-1] == (
-        "swarmtwin tune: study 'mgr-kinematic' in outputs/tune/mgr-kinematic.journal was made for another recipe, "
-        "data: choose another study=..., or leave it out"
+        "swarmtwin tune: study 'mgr-kinematic' in sqlite:///outputs/tune/mgr-kinematic.db was made for another "
+        "recipe, data: choose another study=..., or leave it out"
     )
     assert len(study(workshop).get_trials()) == 1
 

@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 
 from swarmtwin.errors import UserError
-from swarmtwin.tracking.gate import Errors, Trials, judge_challenging_policy, judge_dynamics, judge_policy
+from swarmtwin.tracking.gate import (
+    DynamicsVerdict,
+    Errors,
+    Trials,
+    judge_challenging_policy,
+    judge_dynamics,
+    judge_policy,
+)
 
 RUN = np.repeat(np.arange(40), 50)
 
@@ -33,6 +40,10 @@ def test_the_change_is_the_mean_over_transitions_however_many_each_run_has():
     by_hand = 0.5 * sum(candidate.mean(axis=0) / rival.mean(axis=0) - 1)
     verdict = judge_dynamics(Errors.by_run(candidate, run), Errors.by_run(rival, run))
     assert verdict.change == pytest.approx(by_hand)
+
+
+def test_a_gain_is_said_in_words_with_its_interval_from_the_smallest_on():
+    assert DynamicsVerdict(True, -0.123, -0.25, -0.04).gain == "12.3% smaller (95 % interval 4.0% to 25.0% smaller)"
 
 
 def test_an_equal_model_rarely_passes():

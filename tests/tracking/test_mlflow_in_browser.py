@@ -1,4 +1,4 @@
-"""MLflow's own interface, as `make ui` opens it: a tracked run and a registered model are shown, without errors."""
+"""MLflow's own interface, as `make ui` opens it: runs, registered models and a champion's page, without errors."""
 
 import os
 import signal
@@ -12,8 +12,12 @@ from contextlib import contextmanager
 
 import mlflow
 import pytest
+from PIL import Image
 
+from swarmtwin.tracking import registry
+from swarmtwin.tracking.champion_page import Evidence, champion_page
 from swarmtwin.tracking.runs import tracked_run
+from tiny_policies import simulation
 
 pytestmark = pytest.mark.claims  # the server takes longer to begin than all else
 WHO_IS_IT = "/mlflow/users/current"  # asked of every server; one without a login has no users, and answers 404
@@ -56,19 +60,26 @@ def answers(address):
         return False
 
 
-def test_runs_and_registered_models_are_shown_without_errors(workplace, browser):
+def test_runs_and_registered_models_are_shown_without_errors(workplace, browser, robots):
     with tracked_run("dynamics", "mgr crnet", {"robot": {"name": "mgr"}, "seed": 3}, seed=3) as run:
         run.metrics({"validation_position_mm": 3.25})
         run.history([(epoch, {"train_position_mm": 5.0 - epoch}) for epoch in range(3)])
-    client = mlflow.MlflowClient()
-    client.create_registered_model("mgr-dynamics")
-    version = client.create_model_version("mgr-dynamics", "file:///nowhere", run.run_id).version
-    client.set_registered_model_alias("mgr-dynamics", "champion", version)
+        folder = simulation(workplace / "model", robots["mgr"])
+        Image.new("RGB", (37, 20), "red").save(folder / "history.png")
+        kept = run.model(folder, "dynamics")
+    version = registry.register("mgr-dynamics", folder, kept, run.run_id, {"model": "kinematic"})
+    evidence = Evidence("its error is 12.0% smaller (95 % interval 9.0% to 15.0% smaller)", "10 runs", "the one before")
+    registry.promote(version, "better", None, champion_page(version, evidence, "swarmtwin promote candidate=1"))
     experiment = mlflow.get_run(run.run_id).info.experiment_id
     pages = {
         f"#/experiments/{experiment}/runs": ["mgr crnet"],
         f"#/experiments/{experiment}/runs/{run.run_id}": ["validation_position_mm", "3.25", "robot.name"],
         "#/models/mgr-dynamics": ["mgr-dynamics", "champion"],
+        "#/models/mgr-dynamics/versions/1": [
+            "It became champion because its error is 12.0% smaller (95 % interval 9.0% to 15.0% smaller).",
+            "Compared with the one before.",
+            "Promoted by swarmtwin promote candidate=1",
+        ],
     }
     with interface(workplace) as address:
         for path, said in pages.items():
@@ -77,3 +88,5 @@ def test_runs_and_registered_models_are_shown_without_errors(workplace, browser)
                 page.wait_until(f"document.body.innerText.includes({words!r})")
             assert [error for error in page.errors if WHO_IS_IT not in error] == [], path
             assert page.elsewhere() == [], path
+        page.wait_until("[...document.images].some(picture => picture.naturalWidth === 37)")
+        assert page.evaluate(f"[...document.links].some(link => link.hash.endsWith('/runs/{run.run_id}'))")

@@ -2,6 +2,7 @@ import multiprocessing
 import shutil
 from pathlib import Path
 
+import mlflow
 import numpy as np
 import pytest
 
@@ -158,6 +159,24 @@ def test_a_version_is_found_by_its_content(publish, workplace):
     assert registry.version_of(NAME, workplace / "model_one").number == 1
     (workplace / "model_one" / "model.yaml").write_text("changed")
     assert registry.version_of(NAME, workplace / "model_one") is None
+
+
+def page_of(version):
+    return mlflow.MlflowClient().get_model_version(version.name, str(version.number)).description
+
+
+def test_what_a_person_wrote_on_a_page_stays_below_what_a_promotion_says(publish):
+    first, second = publish("one"), publish("two")
+    mlflow.MlflowClient().update_model_version(NAME, "1", "Wheels were changed.")
+    for _ in range(2):
+        registry.promote(first, "good", champion(), "It is good.")
+        registry.promote(second, "better", champion())
+    assert page_of(first) == "It is good.\n\n---\n\nWheels were changed."
+    assert not page_of(second)
+    registry.promote(first, "good", champion(), "It is better.")
+    assert page_of(first) == "It is better.\n\n---\n\nIt is good.\n\n---\n\nWheels were changed."
+    registry.promote(second, "good", champion(), "long" * 2000)
+    assert len(page_of(second)) == 5000
 
 
 def test_champions_follow_each_other_and_roll_back_in_order(publish):

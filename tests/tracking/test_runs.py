@@ -31,6 +31,27 @@ def test_a_run_keeps_its_configuration_seed_metrics_and_history(workplace):
     assert [point.value for point in history] == [5, 4, 3]
 
 
+@pytest.mark.parametrize(("project", "name"), [(None, "swarmtwin/dynamics"), ("my lab", "my lab/dynamics")])
+def test_experiments_of_two_projects_on_one_server_are_apart(workplace, monkeypatch, project, name):
+    """Found again by their project, also where database and files were copied together."""
+    if project:
+        with tracked_run("dynamics", "of another project", CONFIG):
+            pass
+        monkeypatch.setenv("SWARMTWIN_PROJECT", project)
+    with parent_run("dynamics", "seed=1,2", "sweep") as parent, tracked_run("dynamics", "mgr mlp", CONFIG) as run:
+        pass
+    runs = mlflow.search_runs(experiment_names=[name], output_format="list")
+    assert {found.info.run_id for found in runs} == {parent, run.run_id}
+    copy = workplace.with_name(f"{workplace.name} copied")
+    shutil.copytree(workplace, copy)
+    shutil.rmtree(workplace / "mlruns")
+    monkeypatch.chdir(copy)
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)  # MLflow sets it
+    use_store()
+    assert yaml.safe_load(mlflow.artifacts.load_text(f"runs:/{run.run_id}/config.yaml")) == CONFIG
+    assert (copy / "mlruns" / name / run.run_id).is_dir()
+
+
 @pytest.mark.parametrize(("failure", "status"), [(ValueError, "FAILED"), (KeyboardInterrupt, "KILLED")])
 def test_a_run_says_how_it_ended(workplace, failure, status):
     def fail():

@@ -1,8 +1,10 @@
 """`swarmtwin promote`: the gate that a registered model passes to become the champion, and the way back."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
+from hydra.core.hydra_config import HydraConfig
 from pydantic import Field
 from rich.console import Console
 
@@ -46,6 +48,14 @@ def run(options: Options) -> dict[str, Any]:
             options.baseline,
             options.task.name,
             options.policy_gate,
+            _command(),
         )
     Console().print(answer, highlight=False)
     return {"output": answer}
+
+
+def _command() -> str | None:
+    """Return the command as it was typed; None where `run` is called by other code."""
+    if not HydraConfig.initialized():
+        return None
+    return shlex.join(["swarmtwin", "promote", *HydraConfig.get().overrides.task])

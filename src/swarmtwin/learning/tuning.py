@@ -6,7 +6,8 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BufferedRandom
 from pathlib import Path
@@ -17,6 +18,7 @@ from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from optuna.trial import TrialState
 from pydantic import Field, model_validator
+from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from swarmtwin.errors import UserError
@@ -38,19 +40,22 @@ class SharedStudy:
 
     Attributes:
         name: its name.
-        storage: the journal file or database that holds it.
+        storage: what holds it: a database's URL, an SQLite file that ends in `.db`, or a journal file of Optuna's.
         made_for: digests by name of all that its trials have in common; trials of anything else are no part of it.
+        lock_timeout_s: how long a process waits for others that write to the same SQLite file.
     """
 
     name: str
     storage: str
     made_for: Mapping[str, str]
+    lock_timeout_s: float = 60.0
 
     @classmethod
     def named(cls, name: str | None, prefix: str, storage: str | None, made_for: Mapping[str, str]) -> "SharedStudy":
         """Fill in the name, `prefix` and a digest, and the storage, where they are left open."""
         name = name or f"{prefix}-{identity({'study': dict(made_for)})['study']}"
-        return cls(name, storage or f"outputs/tune/{name}.journal", made_for)
+        file = re.sub(r"[?{}]", "_", name)  # they mean something in a URL
+        return cls(name, storage or f"sqlite:///outputs/tune/{file}.db", made_for)
 
     @property
     def place(self) -> str:
@@ -78,8 +83,8 @@ class SharedStudy:
         except (OSError, ImportError, ValueError, LookupError, SQLAlchemyError, optuna.exceptions.OptunaError) as error:
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             raise UserError(
-                f"storage {self.place} cannot be opened ({reason}): name a journal file, or a database by its URL, "
-                "sqlite:///study.db"
+                f"storage {self.place} cannot be opened ({reason}): name a database by its URL, sqlite:///study.db, "
+                "or a journal file"
             ) from None
         if other := [part for part, digest in self.made_for.items() if (known or {}).get(part) != digest]:
             raise UserError(
@@ -89,13 +94,32 @@ class SharedStudy:
         return study
 
     def _storage(self) -> BaseStorage:
-        if "://" in self.storage:
-            return RDBStorage(self.storage)
-        file = Path(self.storage).absolute()
-        if file.is_dir():
-            raise IsADirectoryError("it is a folder")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        return JournalStorage(JournalFileBackend(str(file), _JournalLock(file)))
+        if "://" not in self.storage and not self.storage.endswith(".db"):
+            file = _place_of(self.storage)
+            return JournalStorage(JournalFileBackend(str(file), _JournalLock(file)))
+        url = self.storage if "://" in self.storage else f"sqlite:///{self.storage}"
+        parts = make_url(url)
+        if parts.get_backend_name() != "sqlite" or not parts.database:
+            return RDBStorage(url)
+        with _one_at_a_time(_place_of(parts.database)):
+            return RDBStorage(url, engine_kwargs={"connect_args": {"timeout": self.lock_timeout_s}})
+
+
+def _place_of(name: str) -> Path:
+    """Return the file of a storage, in a folder that is made if need be."""
+    file = Path(name).absolute()
+    if file.is_dir():
+        raise IsADirectoryError("it is a folder")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    return file
+
+
+@contextmanager
+def _one_at_a_time(database: Path) -> Iterator[None]:
+    """Let one process at a time open a database file: Optuna makes its tables unless they are there, and two fail."""
+    with database.open("ab") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        yield
 
 
 class _JournalLock(JournalFileOpenLock):

@@ -110,7 +110,7 @@ class HyperparameterSearch(StrictModel):
 
         Args:
             name: of the study; None: one made of what it is for.
-            storage: a journal file or a database's URL; None: a journal under outputs/tune.
+            storage: a database's URL or a journal file; None: an SQLite file under outputs/tune.
             trials: that end, well or badly, those of former calls among them.
             workers: processes that work on them.
             folder: the parent of that folder.

@@ -28,6 +28,7 @@ from swarmtwin.studies.deployed_trials import deployed_trials
 from swarmtwin.studies.rollout_runner import in_simulation, on_stand_ins, other_vehicles, simulation_of
 from swarmtwin.studies.tracked_inputs import model_input
 from swarmtwin.tracking import gate, registry
+from swarmtwin.tracking.champion_page import Evidence, champion_page, code
 from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.models import ModelKind
 from swarmtwin.tracking.runs import tracked_run
@@ -77,6 +78,7 @@ def promote(
     baseline: Path | None,
     task: str | None,
     policy_gate: PolicyGate,
+    command: str | None = None,
 ) -> str:
     """Make a model the champion if it passes its gate; return what was found, as a sentence.
 
@@ -88,6 +90,7 @@ def promote(
         baseline: transitions that the plain rival of a first champion is fitted to; None: those that it learned from.
         task: of a policy; None: whatever the candidate is for.
         policy_gate: what a policy must show.
+        command: that asked for it, as the champion's page in MLflow says; None: it does not.
 
     Raises:
         RefusedError: the gate refuses it.
@@ -97,17 +100,17 @@ def promote(
     champion = registry.holder(version.name, "champion", version.task)
     if champion and champion.number == version.number:
         return f"{version} is the champion already"
+    verdict: gate.DynamicsVerdict | gate.PolicyVerdict
     if kind == "dynamics":
-        verdict: gate.DynamicsVerdict | gate.PolicyVerdict
-        verdict, rival = judge_dynamics(version, champion, robot, recording, baseline)
-        reason = f"{verdict} than {rival} on {recording}"
+        verdict, rival, evidence = judge_dynamics(version, champion, robot, recording, baseline)
+        reason = f"{verdict} than {rival}{'' if champion else ' (there is no champion yet)'} on {recording}"
     else:
-        verdict = judge_policies(version, champion, robot, policy_gate)
+        verdict, evidence = judge_policies(version, champion, robot, policy_gate)
         reason = str(verdict)
     if not verdict.passed:
         stays = f"; {champion} stays champion" if champion else ""
         raise RefusedError(f"{version} is not promoted: {reason}{stays}")
-    registry.promote(version, reason, champion)
+    registry.promote(version, reason, champion, champion_page(version, evidence, command))
     return f"{version} is champion: {reason}"
 
 
@@ -168,8 +171,11 @@ def judge_dynamics(
     robot: Robot,
     recording: Path,
     baseline: Path | None,
-) -> tuple[gate.DynamicsVerdict, str]:
-    """Compare both on what neither has seen, or, without a champion, with the plain baseline; name the rival, too.
+) -> tuple[gate.DynamicsVerdict, str, Evidence]:
+    """Compare both on what neither has seen, or, without a champion, with the plain baseline.
+
+    Returns:
+        what the gate says, the rival's name, and the same for the champion's page.
 
     Raises:
         UserError: the recording is at fault, no run of it is unseen by both, or there is nothing to fit a baseline to.
@@ -182,6 +188,7 @@ def judge_dynamics(
     if champion:
         rival, rival_provenance = load_simulation(champion.folder(), robot)
         unseen, name = _common(unseen, rival_provenance.unseen_part(measured)), str(champion)
+        compared_with = f"{champion}, the champion before it"
         if not unseen.tracks:
             raise UserError(
                 f"{candidate} and {champion} were trained on recording {provenance.recording!r}, and no run of it is "
@@ -190,10 +197,18 @@ def judge_dynamics(
     else:
         fitted_to, where = _baseline_transitions(folder, provenance, robot, baseline, unseen)
         rival = fit_kinematics(fitted_to)
-        name = f"the kinematic model fitted to {where} (there is no champion yet)"
+        name = f"the kinematic model fitted to {where}"
+        compared_with = f"{name}: there was no champion before it"
     transitions, _ = from_recording(unseen)
     errors = [gate.Errors.by_run(one_step_errors(model, transitions), transitions.run) for model in (simulation, rival)]
-    return gate.judge_dynamics(*errors), name
+    verdict = gate.judge_dynamics(*errors)
+    evidence = Evidence(
+        because=f"its one-step error is {verdict.gain} than that of {name}",
+        measured_on=f"{len(errors[0].transitions)} runs, {len(transitions)} transitions, of the recording "
+        f"{code(recording)}, of which neither model has seen any (its source: {measured.header.source})",
+        compared_with=compared_with,
+    )
+    return verdict, name, evidence
 
 
 def _baseline_transitions(
@@ -226,10 +241,13 @@ def _common(first: Recording, second: Recording) -> Recording:
 
 def judge_policies(
     candidate: registry.Version, champion: registry.Version | None, robot: Robot, asked: PolicyGate
-) -> gate.PolicyVerdict:
+) -> tuple[gate.PolicyVerdict, Evidence]:
     """Roll out both from the same starts, on stand-ins or in a randomised simulation, or look at deployments; judge.
 
     A champion that was never deployed is not compared with.
+
+    Returns:
+        what the gate says, and the same for the champion's page.
 
     Raises:
         RefusedError: the champion's task has other settings.
@@ -252,7 +270,7 @@ def judge_policies(
         trials = _trials([one for one in (policy, rival) if one], asked)
     else:
         trials = _trials_deployed([one for one in (policy, rival) if one], robot, asked)
-    return gate.judge_policy(
+    verdict = gate.judge_policy(
         trials[0],
         trials[1] if len(trials) > 1 else None,
         least_success=asked.least_success,
@@ -260,6 +278,34 @@ def judge_policies(
         margin=asked.margin,
         fewest_rollouts=100 if asked.deployments is None else asked.fewest_deployments,
     )
+    demands = f"at least {asked.least_success:.0%} success, less than {asked.most_collisions:.0%} collisions"
+    evidence = Evidence(
+        because=f"it meets every demand ({demands}): {verdict.found}",
+        measured_on=f"{len(trials[0].succeeded)} {_judged_in(policy, asked)}",
+        compared_with=_compared_with(champion, rival, trials),
+    )
+    return verdict, evidence
+
+
+def _judged_in(policy: StoredPolicy, asked: PolicyGate) -> str:
+    """Say what policies are judged by, as it follows a number."""
+    if asked.deployments is not None:
+        return "deployments"
+    if asked.randomisation is not None:
+        return f"roll-outs in the simulation that it was learned in, in which {code(asked.randomisation)} differs"
+    return f"roll-outs on stand-ins, vehicles {', '.join(other_vehicles(asked.vehicles, policy.build_task()))}"
+
+
+def _compared_with(champion: registry.Version | None, rival: StoredPolicy | None, trials: Sequence[gate.Trials]) -> str:
+    """Say which policy the candidate was compared with, or why with none."""
+    if champion is None:
+        return "no other policy: it is the first champion for its task"
+    if rival is None:
+        return f"no other policy: the task of {champion}, the champion before it, had other settings"
+    if len(trials) == 1:
+        return f"no other policy: {champion}, the champion before it, was not deployed"
+    starts = "from the same starts" if trials[0].paired else "in deployments of its own"
+    return f"{champion}, the champion before it, {starts}"
 
 
 def _task_difference(rival: StoredPolicy, policy: StoredPolicy) -> str:

@@ -51,6 +51,11 @@ class DynamicsVerdict:
     low: float
     high: float
 
+    @property
+    def gain(self) -> str:
+        """What is gained, in words, by a candidate that passes."""
+        return f"{-self.change:.1%} smaller (95 % interval {-self.high:.1%} to {-self.low:.1%} smaller)"
+
     def __str__(self) -> str:
         figures = f"one-step error {self.change:+.2%} (95 % interval {self.low:+.2%} to {self.high:+.2%})"
         return f"{figures}: {'measurably better' if self.passed else 'not measurably better'}"

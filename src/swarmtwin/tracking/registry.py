@@ -231,13 +231,14 @@ def challenge(version: Version, compare: Callable[[Version], tuple[bool, str]]) 
         return f"registered as {version}, its {alias} in place of version {incumbent.number}: {reason}"
 
 
-def promote(version: Version, reason: str, against: Version | None) -> None:
+def promote(version: Version, reason: str, against: Version | None, page: str = "") -> None:
     """Make a version the champion, remembering the former one.
 
     Args:
         version: what becomes champion.
         reason: why, in words.
         against: the champion that it was compared with; None where there was none.
+        page: what the version's page says of it, in Markdown, above what somebody wrote there before.
 
     Raises:
         UserError: another version became champion meanwhile.
@@ -252,6 +253,7 @@ def promote(version: Version, reason: str, against: Version | None) -> None:
         if now:
             _remember(client, version.name, alias, [*_former_champions(client, now, alias), str(now.number)])
         client.set_model_version_tag(version.name, str(version.number), "promoted_because", reason)
+        _describe_version(client, version, page)
         client.set_registered_model_alias(version.name, alias, str(version.number))
 
 
@@ -300,6 +302,14 @@ def _former_champions(client: mlflow.MlflowClient, champion: Version, alias: str
 
 def _remember(client: mlflow.MlflowClient, name: str, alias: str, numbers: list[str]) -> None:
     client.set_registered_model_tag(name, _history_tag(alias), ",".join(numbers))
+
+
+def _describe_version(client: mlflow.MlflowClient, version: Version, page: str, longest: int = 5000) -> None:
+    """Put a text on top of a version's page, unless it stands there; a database of MLflow's takes 5000 characters."""
+    before = client.get_model_version(version.name, str(version.number)).description or ""
+    if page not in before:
+        text = "\n\n---\n\n".join(part for part in (page, before) if part)
+        client.update_model_version(version.name, str(version.number), text[:longest])
 
 
 def _describe(known: list[Version]) -> str:
