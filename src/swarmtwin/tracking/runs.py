@@ -109,7 +109,9 @@ def tracked_run(
         UserError: the tracking store cannot be used, or what measures the machine is not installed.
     """
     if system_metrics and find_spec("psutil") is None:
-        raise UserError("system_metrics measures by psutil, which is not installed here: pip install 'swarmtwin[train]'")
+        raise UserError(
+            "system_metrics measures by psutil, which is not installed here: pip install 'swarmtwin[train]'"
+        )
     hashes = dvc_hashes(dataset.folder for dataset in inputs)
     tags = _tags(hashes, seed)
     with store_errors():
