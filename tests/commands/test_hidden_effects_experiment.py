@@ -54,6 +54,31 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
     assert "2/2 (34.2–100.0 %)" in (folder / "report.md").read_text()
 
 
+def test_what_other_machines_have_judged_is_taken_over(swarmtwin, workshop, monkeypatch):
+    asked = []
+
+    def examined(case, with_baselines, with_true_model):
+        asked.append(case.kind)
+        return result(case.kind, case.about, list(case.true_names), robot=case.robot).model_copy(update={"case": case})
+
+    monkeypatch.setattr(f"{STUDY}.score_case", examined)
+    for kind in ("two", "clean"):
+        answer = swarmtwin(*EXPERIMENT, f"kinds=[{kind}]", f"output={kind}")
+        assert answer.status == 0, answer.error
+    assert asked == ["two"] * 4 + ["clean"] * 8
+    others = "judged=[two/results.jsonl,clean/results.jsonl]"
+    answer = swarmtwin(*EXPERIMENT, others, "count.quick.clean=5", "output=study")
+    assert answer.status == 0, answer.error
+    assert asked[12:] == ["clean"] * 2  # those that nobody has judged
+    assert len(pd.read_csv(workshop / "study" / "results.csv")) == 4 + 10
+    again = swarmtwin(*EXPERIMENT, "judged=[study/results.jsonl]", "count.quick.clean=5", "output=again")
+    assert again.status == 0, again.error
+    assert len(asked) == 14
+    refused = swarmtwin(*EXPERIMENT, "judged=[elsewhere.jsonl]", "output=nothing")
+    assert (refused.status, (workshop / "nothing").exists()) == (2, False)
+    assert "judged=elsewhere.jsonl: no such file" in refused.error
+
+
 def test_the_first_sessions_of_each_kind_are_judged_with_the_true_model(swarmtwin, workshop, monkeypatch):
     asked = {}
 

@@ -101,6 +101,7 @@ class Options(StrictModel):
     true_model: Shares
     processes: Annotated[int, Field(ge=1)] | None
     cluster: str | None
+    judged: tuple[Path, ...]
     seed: Seed
     output: Path
     overwrite: bool
@@ -182,6 +183,9 @@ def run(options: Options) -> dict[str, Any]:
     jobs = options.jobs()
     if not jobs:
         raise UserError(f"no session is left: give more in count.{options.scale}, kinds=[...] or families=[...]")
+    for path in options.judged:
+        if not path.is_file():
+            raise UserError(f"judged={path}: no such file: name the results.jsonl that another call has left")
     with (
         new_folder(options.output, "experiment", settings, options.overwrite, resumable=True) as folder,
         tracked_run("diagnosis", "hidden effects", settings, seed=options.seed) as tracked,
@@ -202,9 +206,14 @@ def run(options: Options) -> dict[str, Any]:
 
 def _results(jobs: list[ScoringJob], file: Path, options: Options) -> list[Result]:
     """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
-    found = read_results(file, [job.case for job in jobs])
     asked = {job.case.key: job for job in jobs}
-    known = {key: result for key, result in found.items() if asked[key].is_answered_by(result)}
+    known: dict[str, Result] = {}
+    for path in (file, *options.judged):
+        for key, result in read_results(path, [job.case for job in jobs]).items():
+            if key not in known and asked[key].is_answered_by(result):
+                known[key] = result
+                if path != file:
+                    append_result(file, result)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
         task = bar.add_task("sessions diagnosed", total=len(jobs), completed=len(known))
