@@ -62,6 +62,8 @@ def test_its_pictures_have_addresses_that_the_server_of_the_interface_answers(dr
         monkeypatch.setenv(f"_MLFLOW_SERVER_{role}_STORE", f"sqlite:///{workplace / 'mlflow.db'}")
     for kept in ("_tracking_store", "_model_registry_store"):
         monkeypatch.setattr(f"mlflow.server.handlers.{kept}", None)
+    monkeypatch.setattr("mlflow.tracking._model_registry.utils._registry_uri", None)  # where the server sets its own
+    monkeypatch.setenv("MLFLOW_REGISTRY_URI", "")
     server = app.test_client()
     for name, address in pictures.items():
         answer = server.get(f"/{address}")
