@@ -202,7 +202,8 @@ def test_pictures_show_the_vehicles_where_they_are_when_they_are_taken(robots, s
                 off_by_px.append(np.linalg.norm(found[int(vehicle)].mean(axis=0) - seen))
     assert np.median(off_by_px) < 0.5
     stamps_s = np.array([one[1] for one in viewer.pictures])
-    assert (len(stamps_s) - 1) / (stamps_s[-1] - stamps_s[0]) < 31
+    late_s = 0.2  # the first picture may have been taken later than it was due
+    assert (len(stamps_s) - 1) / (stamps_s[-1] - stamps_s[0] + late_s) < 30
     assert (np.diff(stamps_s) > 0).all()
 
 
