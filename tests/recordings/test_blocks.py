@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from drives import drive, header_of, write_drive
@@ -96,3 +97,15 @@ def test_a_part_of_one_long_run_is_of_all_of_it(mgr):
     assert 0.8 * 3000 < chosen.sum() < 1.2 * 3000
     progress = long.transitions.time_s[chosen] / long.transitions.time_s.max()
     assert np.histogram(progress, 4, (0.0, 1.0))[0].min() > 500
+
+
+def test_runs_that_are_few_beside_empty_ones_are_cut(mgr, tmp_path):
+    folder = write_drive(tmp_path / "one", mgr, drive(mgr, runs=7, steps=300, vehicles=("1",)))
+    expected = read_recording(folder, mgr)
+    rows = pd.read_csv(folder / "runs" / "run_00000.csv").head(5)
+    rows["time_s"] = np.nan  # no row of these is complete
+    for number in range(90, 93):
+        rows.to_csv(folder / "runs" / f"run_000{number}.csv", index=False)
+    found = read_recording(folder, mgr)
+    assert found.runs == expected.runs
+    assert len(found.runs) > 7

@@ -12,13 +12,18 @@ import numpy as np
 
 from swarmtwin.recordings.recording import Track
 
+FEWEST_RUNS = 8
+"""Of so many runs of a recording none is cut: a tenth of them is one at least."""
 
-def enough_runs(count: int, fewest: int = 8) -> bool:
+
+def enough_runs(count: int, fewest: int = FEWEST_RUNS) -> bool:
     """Whether a recording has so many runs that none of them is cut."""
     return count >= fewest
 
 
-def in_blocks(tracks: Sequence[Track], *, fewest: int = 8, blocks: int = 40, shortest: int = 40) -> tuple[Track, ...]:
+def in_blocks(
+    tracks: Sequence[Track], *, fewest: int = FEWEST_RUNS, blocks: int = 40, shortest: int = 40
+) -> tuple[Track, ...]:
     """Cut the runs of a recording that has too few of them; one that has enough stays as it is.
 
     Args:

@@ -17,7 +17,7 @@ import yaml
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
-from swarmtwin.recordings.blocks import enough_runs, one_in_blocks
+from swarmtwin.recordings.blocks import FEWEST_RUNS, enough_runs, in_blocks, one_in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
@@ -93,9 +93,9 @@ def read_in_parts(
         raise UserError(f"{folder}: {error}") from None
     for warning in warnings:
         logger.warning("%s: %s", folder, warning)
+    parts.give_rest()
     if parts.blocks > len({span.run for span in parts.spans}):
         logger.info("%s: few runs, taken as %d blocks", folder, parts.blocks)
-    parts.give_all()
     return Recording(robot, header, (), dict(dropped), digest.hexdigest(), warnings, sent)
 
 
@@ -128,6 +128,7 @@ class _Parts:
         self._whole, self._take, self._rows_at_a_time = whole, take, rows_at_a_time
         self.blocks = 0
         self._runs = runs
+        self._seen = 0
         self._beyond_a_turn = False
         self._waiting: list[Track] = []
         self._unjudged: list[Track] = []
@@ -142,7 +143,8 @@ class _Parts:
         self.spans += [
             _Span(track.vehicle, float(track.time_s[0]), float(track.time_s[-1]), track.run) for track in tracks
         ]
-        blocks = list(tracks if enough_runs(self._runs) else one_in_blocks(tracks, self._runs))
+        self._seen += 1
+        blocks = list(one_in_blocks(tracks, self._runs) if self._are_few else tracks)
         self.blocks += len({block.run for block in blocks})
         self._waiting += blocks
         self._unjudged += tracks
@@ -153,7 +155,8 @@ class _Parts:
             self._unjudged_in_degrees += tracks_of(table.with_headings_in_degrees(), tracks[0].run, known)[0]
         if self._unjudged_rows >= self._rows_at_a_time:
             self.judge_all()
-            self.give_all()
+            if self._are_few or enough_runs(self._seen):
+                self._give_waiting()
 
     def judge_all(self) -> None:
         """Let what has not yet been looked at pass by."""
@@ -162,7 +165,18 @@ class _Parts:
             self.in_degrees.add(self._unjudged_in_degrees)
         self._unjudged, self._unjudged_in_degrees, self._unjudged_rows = [], [], 0
 
-    def give_all(self) -> None:
+    def give_rest(self) -> None:
+        """Give away what is left, cut into blocks where runs are few beside those that hold no complete row."""
+        if not self._are_few and not enough_runs(self._seen):
+            self._waiting = list(in_blocks(self._waiting))
+            self.blocks = len({block.run for block in self._waiting})
+        self._give_waiting()
+
+    @property
+    def _are_few(self) -> bool:
+        return not enough_runs(self._runs)
+
+    def _give_waiting(self) -> None:
         """Give away what waits, in parts of whole runs or blocks."""
         part: list[Track] = []
         for _, run in itertools.groupby(self._waiting, key=lambda track: track.run):
@@ -178,9 +192,9 @@ class _Parts:
         self._take(replace(self._whole, tracks=tuple(tracks)))
 
 
-def _runs_in(files: Sequence[Path], most: int = 1000) -> int:
-    """Return how many runs there are in files, or `most` if there are more."""
-    return count_runs(files[0], most) if files[0].name == RUNS_FILE else len(files)
+def _runs_in(files: Sequence[Path]) -> int:
+    """Return how many runs there are in files, empty ones included; of a file of many runs, no more than are enough."""
+    return count_runs(files[0], FEWEST_RUNS) if files[0].name == RUNS_FILE else len(files)
 
 
 def _run_tables(files: Sequence[Path], robot: Robot, digest: "hashlib._Hash") -> Iterator[tuple[str, RunTable]]:
