@@ -305,11 +305,18 @@ def _remember(client: mlflow.MlflowClient, name: str, alias: str, numbers: list[
 
 
 def _describe_version(client: mlflow.MlflowClient, version: Version, page: str, longest: int = 5000) -> None:
-    """Put a text on top of a version's page, unless it stands there; a database of MLflow's takes 5000 characters."""
-    before = client.get_model_version(version.name, str(version.number)).description or ""
-    if page not in before:
-        text = "\n\n---\n\n".join(part for part in (page, before) if part)
-        client.update_model_version(version.name, str(version.number), text[:longest])
+    """Put a text on top of a version's page, unless it stands there; a database of MLflow's takes 5000 characters.
+
+    What stood there stays whole: of the text as many paragraphs are kept as there is room for.
+    """
+    before, seam = client.get_model_version(version.name, str(version.number)).description or "", "\n\n---\n\n"
+    room = longest - len(before) - len(seam)
+    paragraphs = page.split("\n\n")
+    while paragraphs and len("\n\n".join(paragraphs)) > room:
+        paragraphs.pop()
+    if paragraphs and page not in before:
+        text = seam.join(part for part in ("\n\n".join(paragraphs), before) if part)
+        client.update_model_version(version.name, str(version.number), text)
 
 
 def _describe(known: list[Version]) -> str:
