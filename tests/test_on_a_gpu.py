@@ -23,22 +23,32 @@ def transitions(robots):
     return toy_transitions(robots["mgr"], 1200, noise=NOISE)
 
 
-def trained(transitions, device, name="mlp", precision="32-true", checkpoints=None, report=None):
+def trained(transitions, device, name="mlp", precision="32-true", checkpoints=None, report=None, seed=1):
     """A model trained for a few epochs, one seed."""
     trainer = TrainerSettings(precision=precision)
     config = config_class(name)(steps=40)
     return train(
-        transitions, config, recipe(batch_size=120), [1], checkpoints, report, device=device, trainer=trainer
+        transitions, config, recipe(batch_size=120), [seed], checkpoints, report, device=device, trainer=trainer
     ).best
 
 
+def error_of(trained_model):
+    """Its error on validation runs in the end, mm."""
+    return trained_model.history[-1].validation_position_mm
+
+
 @pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
-@pytest.mark.parametrize("name", ["mlp", "crnet", "lstm"])
+@pytest.mark.parametrize("name", ["mlp", "lstm"])
 def test_a_dynamics_model_learns_nearly_the_same(transitions, name, precision):
     on_cpu, on_gpu = (trained(transitions, device, name, precision) for device in ("cpu", "gpu"))
-    errors = [one.history[-1].validation_position_mm for one in (on_cpu, on_gpu)]
-    assert errors[1] == pytest.approx(errors[0], rel=0.3 if name == "crnet" else 0.1)  # other random numbers drop out
+    assert error_of(on_gpu) == pytest.approx(error_of(on_cpu), rel=0.1)
     assert all(isinstance(weights, np.ndarray) for weights in on_gpu.weights.values())
+
+
+@pytest.mark.parametrize("precision", ["32-true", "bf16-mixed"])
+def test_crnet_whose_random_numbers_are_others_there_learns_as_other_seeds_do(transitions, precision):
+    on_cpu = [error_of(trained(transitions, "cpu", "crnet", precision, seed=seed)) for seed in range(1, 6)]
+    assert error_of(trained(transitions, "gpu", "crnet", precision)) < max(on_cpu)
 
 
 def test_an_interrupted_training_goes_on_to_what_it_would_have_become(transitions, tmp_path):
