@@ -3,7 +3,6 @@
 import inspect
 from typing import Annotated, Literal, NamedTuple, Self
 
-import lightning
 from pydantic import Field, JsonValue, field_validator, model_validator
 
 from swarmtwin.errors import near_miss
@@ -76,6 +75,10 @@ class TrainerSettings(StrictModel):
     @field_validator("options")
     @classmethod
     def _known_to_lightning(cls, options: dict[str, JsonValue]) -> dict[str, JsonValue]:
+        if not options:
+            return options
+        import lightning  # seconds, only for those who name any
+
         known = inspect.signature(lightning.Trainer).parameters.keys() - SET_ELSEWHERE.keys()
         for name in options:
             if name in SET_ELSEWHERE:
