@@ -2,7 +2,8 @@
 
 from swarmtwin.diagnosis.result import Cause
 from swarmtwin.studies.hidden_effects.cases import Case
-from swarmtwin.studies.hidden_effects.results import HeldOutGain, Result
+from swarmtwin.studies.hidden_effects.held_out_gain import HeldOutGain
+from swarmtwin.studies.hidden_effects.results import Result
 
 
 def result(kind, hidden, named=(), rise=20.0, verdict=None, rivals=(), confidence=1.0, **about):

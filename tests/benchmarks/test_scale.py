@@ -1,24 +1,13 @@
 """How memory and time grow with a recording, from one to ten million rows: `pytest -s -m benchmark_figures`."""
 
-import os
-import resource
 import shutil
-import subprocess
-import sys
-import time
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
-COMMAND = """
-import resource, sys
-from swarmtwin.commands.app import run_command
-status = run_command(sys.argv[1], sys.argv[2:])
-print("peak", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-sys.exit(status)
-"""
+from measured_command import called
 
 RUNS, STEPS = 200, 99
 
@@ -39,19 +28,6 @@ def repeated(driven, folder, times):
             arrays |= {"run": pa.array(f"{number:04}_" + runs), "vehicle": table["vehicle"]}
             writer.write_table(pa.table({name: arrays[name] for name in table.column_names}).cast(table.schema))
     return times * len(table)
-
-
-def called(folder, *arguments):
-    """Run a command in a process of its own; return its seconds of CPU, seconds, and peak of memory in MiB."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    answer = subprocess.run(
-        [sys.executable, "-c", COMMAND, *arguments], cwd=folder, env=environment, capture_output=True, text=True
-    )
-    after, took_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - began
-    assert answer.returncode == 0, answer.stderr
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return cpu_s, took_s, float(answer.stdout.split()[-1])
 
 
 @pytest.mark.benchmark_figures

@@ -11,11 +11,11 @@ from scipy import stats
 from case_results import result
 from swarmtwin.diagnosis.result import Estimate
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
+from swarmtwin.studies.hidden_effects.held_out_gain import Displacements, HeldOutGain, held_out_gain
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, expected_calibration_error, summarise
 from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
 from swarmtwin.studies.hidden_effects.results import (
     Baselines,
-    HeldOutGain,
     TrueModelAnswer,
     append_result,
     read_results,
@@ -308,3 +308,47 @@ def test_a_cause_from_outside_the_package_and_a_failed_diagnosis_have_columns_of
         "nothing wrong": 1,
         "failed": 1,
     }
+
+
+def test_effects_are_counted_by_their_size_beside_the_limit_that_the_diagnosis_states():
+    results = [
+        *[result("one", "gain_change", ["gain_change"], times_limit=1.4)] * 9,
+        result("one", "gain_change", times_limit=1.0),
+        result("one", "gain_change", times_limit=0.9),
+        result("one", "gain_change", times_limit=0.0),
+        result("one", "wall_effect", ["wall_effect"], times_limit=None),
+        result("two", "gain_change+wall_effect", times_limit=None),
+    ]
+    limits = formulas(results)["limits"]
+    assert {name: (share.count, share.total) for name, share in limits.items()} == {
+        "below half": (0, 1),
+        "half to once": (0, 1),
+        "once to twice": (9, 10),
+        "above": (0, 0),
+    }
+
+
+def displaced(ahead_mm, exact_mean_mm=None):
+    """Displacements straight ahead, measured with an alternating error of 1 mm and 0.01 rad, simulated as 10 mm."""
+    count = 40
+    error = np.where(np.arange(count) % 2, 1.0, -1.0)
+    measured = np.stack([ahead_mm + error, np.zeros(count), 0.01 * error], axis=1)
+    simulated = np.tile([10.0, 0.0, 0.0], (count, 1))
+    exact = None if exact_mean_mm is None else np.tile([exact_mean_mm, 0.0, 0.0], (count, 1))
+    return Displacements(measured, simulated, exact)
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_the_share_of_a_gain_is_of_what_the_effect_brought_whether_or_not_exact_means_are_known(is_known):
+    """The effect takes 3 of 10 mm; an extension that knows 2 of them takes 1 − 1/9 of the squared error back."""
+    known = displaced(7.0, 7.0 if is_known else None)
+    twin = displaced(10.0, 10.0 if is_known else None)
+    held_out = np.arange(40) < 20
+    extended = np.tile([8.0, 0.0, 0.0], (40, 1))
+    gain = held_out_gain(known, twin, extended, held_out)
+    assert gain.share == pytest.approx(8 / 9)
+    assert gain.before_mm == pytest.approx(3.0)
+    assert gain.after_mm == pytest.approx(1.0)
+    assert (gain.least_mm, gain.share_to_floor) == ((1.0, pytest.approx(8 / 9)) if is_known else (None, None))
+    nothing = held_out_gain(twin, twin, twin.simulated, held_out)
+    assert nothing.share is None

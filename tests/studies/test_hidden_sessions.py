@@ -12,6 +12,7 @@ import pytest
 from exact_model import SESSION_S, conditions_of
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import residual_between
+from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.standin.effects import catalogue, parse_effects
 from swarmtwin.standin.session import StandInSession
@@ -23,6 +24,7 @@ from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS,
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_that_raises
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 from swarmtwin.studies.hidden_effects.sessions import made_effects, record_session, reference_session, sized_entry
+from swarmtwin.transitions import from_recording
 
 SMALL = {"runs": 20, "steps": 20, "reference_runs": 30}
 
@@ -187,6 +189,17 @@ def test_a_clean_session_moves_as_the_exact_means_say():
             scores.append(z_scores(truth.measured).ravel())
     size = np.sqrt(np.mean(np.concatenate(scores) ** 2))
     assert 0.8 < size < 1.2, size
+
+
+def test_exact_means_of_long_runs_are_those_of_the_blocks_that_a_diagnosis_cuts_them_into():
+    case = Case(family="formulas", kind="clean", robot="mgr", variety="long_runs", seed=5, runs=40)
+    filmed = record_session(case).truth.measured
+    blocks = replace(filmed.recording, tracks=in_blocks(filmed.recording.tracks, fewest=40))
+    cut = from_recording(blocks)[0]
+    assert len(cut.runs) > len(filmed.transitions.runs)
+    whole = filmed.least_displacement(filmed.transitions)
+    rows = [np.flatnonzero(np.isclose(filmed.transitions.time_s, time_s))[0] for time_s in cut.time_s]
+    np.testing.assert_array_equal(filmed.least_displacement(cut), whole[rows])
 
 
 def test_the_same_scores_see_an_effect():

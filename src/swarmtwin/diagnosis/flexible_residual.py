@@ -100,6 +100,7 @@ class FlexibleResidual:
         place = 2 * (pose[:, :2] - arena.low_mm) / (arena.high_mm - arena.low_mm) - 1
         grip = random_cosines(place, settings.place_waves, rng, settings.place_scale)
         heading = np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+        axis = np.column_stack([np.cos(2 * pose[:, 2]), np.sin(2 * pose[:, 2])])  # ground that differs along and across
         progress = session.transitions.time_s[:, None] / conditions.session_s
         ageing = np.cos(np.pi * progress * np.arange(1, settings.time_waves + 1))
         count = settings.command_waves
@@ -116,7 +117,7 @@ class FlexibleResidual:
                     random_cosines(np.column_stack([command, previous, earlier]), count, rng, 1.0),
                 ]
             ),
-            "heading": np.column_stack([heading, heading[:, :1] ** 2, heading.prod(axis=1), _by(heading, motion)]),
+            "heading": np.column_stack([heading, axis, _by(heading, motion), _by(axis, motion)]),
             "place": np.column_stack([grip, _by(grip, motion[:, [0, 2]]), place, _by(_by(place, heading), motion)]),
             "time": np.column_stack([ageing, _by(ageing, motion[:, [0, 2]]), _within_run(session, motion)]),
         }

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special, stats
 
-from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.simulation.mechanism import Mechanism
 
@@ -39,15 +39,15 @@ def motion_noise_change(
     the reference shows as little as sessions differ by.
     """
     log, error = model.motion_noise_log()
-    usual = usual_noise_spread(model, mechanisms)
+    usual, expected = usual_noise_spread(model, mechanisms), expected_noise_log(model, mechanisms)
 
     def change(of_reference: float) -> MotionNoiseChange:
         beside = log - of_reference
-        probability = noise_change_probability(beside, error, usual, model.settings)
+        probability = noise_change_probability(beside - expected, error, usual, model.settings)
         low, high = np.exp(beside + np.array([-1.96, 1.96]) * np.hypot(error, usual))
         return MotionNoiseChange(*map(float, (np.exp(beside), low, high, probability, np.exp(of_reference))))
 
-    may_have_changed = change(-math.copysign(usual, log)).probability >= 0.5
+    may_have_changed = change(-math.copysign(usual, log - expected)).probability >= 0.5
     return change(usual_log() if may_have_changed else 0.0)
 
 
@@ -57,15 +57,21 @@ def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]
     usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
-    unlike = model.reference_noise.log_from_usual(model.motion), _share_of_motion(model, mechanisms)
+    driven = model.simulated.numpy()
+    unlike = model.reference_noise.log_from_usual(driven), 2 * expected_noise_log(model, mechanisms)
     return float(np.linalg.norm([usual, *(settings.growth_spread * each for each in unlike)]))
 
 
-def _share_of_motion(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
-    """Return what share of way and turn mechanisms change, root mean square: the log by which motion is unlike."""
-    change = (model.predictor.twist(arriving(mechanisms)) - model.simulated).numpy()
-    changed, moved = ((twist[:, [0, 2]] ** 2).mean(axis=0) for twist in (change, model.motion))
-    return float(np.sqrt(changed / np.maximum(moved, 1e-12)).max())
+def expected_noise_log(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
+    """Return the log of the factor that mechanisms are expected to put on the noise, which grows with the motion.
+
+    The reference cannot show whether it grows with how vehicles move or with what they were commanded: expected is the
+    middle between both.
+    """
+    if not mechanisms:
+        return 0.0
+    commanded, moved = map(model.reference_noise.motion_variance, (model.simulated.numpy(), model.motion))
+    return float(np.log(commanded / moved).mean()) / 4  # half of it for deviations, and half of the way between both
 
 
 def noise_change_probability(log: float, error: float, usual: float, settings: DiagnosisSettings) -> float:

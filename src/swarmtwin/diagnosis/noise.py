@@ -120,6 +120,11 @@ class Noise:
         at_end: np.ndarray = jacobian @ covariance @ jacobian.transpose(0, 2, 1)
         return at_end
 
+    def motion_variance(self, twist: np.ndarray) -> np.ndarray:
+        """Return the mean variances (3,) of the motion's own part over twists (N, 3)."""
+        mean: np.ndarray = (_size(twist, self.usual) @ self.growth.T).mean(axis=0)
+        return mean
+
     def log_from_usual(self, twist: np.ndarray) -> float:
         """Return how far the log of the way and turn in twists (N, 3) is from the reference's, root mean square."""
         moved = np.maximum(np.sqrt((twist[:, [0, 2]] ** 2).mean(axis=0)), 1e-6)

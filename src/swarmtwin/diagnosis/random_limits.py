@@ -8,7 +8,7 @@ from scipy import optimize, stats
 
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood
-from swarmtwin.diagnosis.motion_noise_change import noise_change_probability, usual_noise_spread
+from swarmtwin.diagnosis.motion_noise_change import expected_noise_log, noise_change_probability, usual_noise_spread
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.result import DetectionLimit
 from swarmtwin.simulation.mechanism import Mechanism, mechanism_class
@@ -18,7 +18,8 @@ def noise_limit(explained: Explanation, power: float) -> DetectionLimit:
     """Return by what factor the motion's noise would have had to grow to be named; `power` is a normal quantile."""
     model, kind = explained.model, mechanism_class("noise_change")
     error = model.motion_noise_log()[1]
-    usual = usual_noise_spread(model, explained.best.mechanisms)
+    mechanisms = explained.best.mechanisms
+    usual, expected = usual_noise_spread(model, mechanisms), expected_noise_log(model, mechanisms)
     settings = model.settings
     parameter = kind.parameters["factor"]
     largest = math.log(parameter.high)
@@ -26,7 +27,8 @@ def noise_limit(explained: Explanation, power: float) -> DetectionLimit:
     def lacking(log: float) -> float:
         return noise_change_probability(log, error, usual, settings) - settings.search.named_from
 
-    log = optimize.brentq(lacking, 1e-6, largest) + power * error if lacking(largest) > 0 else math.inf
+    beyond = optimize.brentq(lacking, 1e-6, largest) + power * error if lacking(largest) > 0 else math.inf
+    log = max(expected + beyond, 0.0)
     value = math.exp(log) if log < largest else None
     share = (value - 1) / parameter.size if value else 1.0
     return DetectionLimit(cause="noise_change", parameter="factor", value=value, unit="", share_of_range=share)

@@ -224,9 +224,10 @@ class MotionNoiseSettings(StrictModel):
         usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact.
         usual_spread_with_momentum: likewise of a simulation that goes on from its own velocity: what that gets wrong
             lasts for some periods, and is told from the noise of motion and camera only so well.
-        growth_spread: likewise for each unit of the log by which vehicles move less or more than in the reference,
-            and of the share of the motion that other causes change: noise grows as a power of the motion that lies
-            between 0 and 1, uniform there, whatever else was learned.
+        growth_spread: likewise for each unit of the log by which vehicles are told to move less or more than in the
+            reference: noise grows as a power of the motion that lies between 0 and 1, uniform there, whatever else was
+            learned; and for each unit of the log by which noise that grows with the motion differs from noise that
+            grows with what was commanded: between these it is uniform as well.
         changed_spread: where this is a cause.
     """
 

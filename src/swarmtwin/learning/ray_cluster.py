@@ -97,7 +97,7 @@ def run_on_cluster(jobs: "Sequence[Job[Result]]", report: "Report", address: str
             try:
                 reports, results[waiting.pop(ended)] = ray.get(ended)
             except RayTaskError as error:
-                raise error.cause from None
+                raise error.cause from error  # which tells where it was raised there
             except RayError as error:
                 raise UserError(f"{what}: a job was lost on the cluster: {type(error).__name__}") from None
             for message in reports:

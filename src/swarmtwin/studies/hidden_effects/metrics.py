@@ -22,6 +22,14 @@ RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % 
 
 MIDDLE, CLEAR = "3 to 10 %", "10 % or more"
 
+LIMIT_BINS = {
+    "below half": (0.0, 0.5),
+    "half to once": (0.5, 1.0),
+    "once to twice": (1.0, 2.0),
+    "above": (2.0, float("inf")),
+}
+"""How many times as large as its detection limit an effect is: from the first figure to below the second."""
+
 NAMING = ("exact", "found", "named_first", "listed", "falsely_named")
 SILENCE = ("found", "not_named", "not_explained")
 ALARMS = ("accused", "alarmed", "harmed")
@@ -83,6 +91,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             named_first: the first cause named is a true one.
             listed: all true causes are named, or rivals of those named.
             falsely_named: a cause was named that is not there.
+        limits: of single effects, by how large they are beside the detection limit that their diagnosis states: from
+            there on it should name 90 %.
         outside: of what the catalogue does not know
             found: likewise; costly_found: of what raises the error by 10 % or more.
             not_named: no cause was named.
@@ -139,6 +149,10 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "failed": Proportion.of(table.verdict == "failed"),
         "one": _naming_by_rise(one),
         **{kind: _naming(table[table.kind == kind]) for kind in ("two", "three")},
+        "limits": {
+            name: Proportion.of(one.exact[one.times_limit.astype(float).between(low, high, inclusive="left")])
+            for name, (low, high) in LIMIT_BINS.items()
+        },
         "outside": _silence(outside),
         "clean": _proportions(clean, ALARMS),
         "mechanisms": {name: _mechanism(name, one, parameters) for name in one.about.unique()},

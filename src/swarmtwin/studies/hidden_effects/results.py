@@ -13,30 +13,10 @@ from swarmtwin.diagnosis.result import Cause, Estimate, Verdict
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.hidden_effects.cases import Case
+from swarmtwin.studies.hidden_effects.held_out_gain import HeldOutGain
 
 THRUST_ROBOTS = ("mur",)
 """Robots of the study whose actuators thrust."""
-
-
-class HeldOutGain(StrictModel):
-    """What an extended simulation gained on runs that nothing was fitted to.
-
-    Attributes:
-        before_mm: mean position error of the simulation as it was.
-        after_mm: of the extended one.
-        least_mm: of the stand-in's exact mean displacement; null where only an engine knows it.
-        share: of the squared error that the effect had brought, the part that is gone again; null where it had brought
-            next to nothing. Squared, which an exact mean makes least: where commands are lost a prediction of the
-            likeliest motion earns none of it.
-        share_to_floor: likewise, of all squared error above that of the exact mean, also what the simulation erred
-            before the effect.
-    """
-
-    before_mm: float
-    after_mm: float
-    least_mm: float | None
-    share: float | None
-    share_to_floor: float | None
 
 
 class Baselines(StrictModel):
@@ -85,6 +65,9 @@ class Result(StrictModel):
         causes: in the order named.
         depends_on: what the residual depended on.
         gained: by the extended simulation.
+        times_limit: size of a single hidden effect over the size from which on the session would have named it with
+            90 %, as its diagnosis says; 0 where it says that no size would. Null where it says nothing of that cause,
+            or in another unit.
         baselines: null where they were left out.
         true_model: what is made of it with the true model in hand; null where that was left out.
         seconds: that the diagnosis took, given the reference.
@@ -104,6 +87,7 @@ class Result(StrictModel):
     causes: tuple[Cause, ...] = ()
     depends_on: tuple[str, ...] = ()
     gained: HeldOutGain | None = None
+    times_limit: float | None = None
     baselines: Baselines | None = None
     true_model: TrueModelAnswer | None = None
     seconds: float | None = None
@@ -118,6 +102,7 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         found: the diagnosis said that something is wrong.
         named_first: the first cause named is a true one.
         listed: every true cause is named, or a rival of one that is.
+        times_limit: see `Result`.
         exact: the causes named are the true ones, all of them and no other.
         falsely_named: a cause is named that is not there.
         fitting_first, fitting_exact, rule_first: likewise of the other methods.
@@ -149,6 +134,7 @@ def _row(result: Result) -> dict[str, Any]:
         "falsely_named": bool(set(named) - set(true)),
         "depends_on": "+".join(result.depends_on),
         **{name: getattr(result.gained, name, None) for name in HeldOutGain.model_fields},
+        "times_limit": result.times_limit,
         "with_baselines": others is not None,
         "fitting": "+".join(fitted),
         "fitting_first": fitted[:1] == true,
@@ -180,6 +166,11 @@ def _row_of_true_model(result: Result) -> dict[str, Any]:
         "true_model_seconds": answer.seconds,
         "true_model_failure": answer.failure,
     }
+
+
+def is_another_unit(robot: str, parameter: str) -> bool:
+    """Return whether a parameter is told in another unit than it is hidden in: see `parameters_table`."""
+    return robot in THRUST_ROBOTS and parameter in ("gain", "loss")
 
 
 def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
@@ -218,7 +209,8 @@ def _with_errors(rows: list[dict[str, Any]], said: list[str]) -> pd.DataFrame:
     table["error"] = (table.value - true).abs()
     table["error_percent"] = 100 * (table.error / true.abs()).where(has_size)
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
-    table["same_unit"] = ~(table.robot.isin(THRUST_ROBOTS) & table["name"].isin(["gain", "loss"]))
+    both = zip(table.robot, table["name"], strict=True)
+    table["same_unit"] = np.array([not is_another_unit(robot, name) for robot, name in both], bool)
     return table
 
 

@@ -1,53 +1,31 @@
 """Diagnoses one case, and compares what is said with what only the stand-in knows."""
 
+import math
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from swarmtwin.diagnosis.diagnose import diagnose
 from swarmtwin.diagnosis.reference import Reference
-from swarmtwin.diagnosis.result import DiagnosedSession
+from swarmtwin.diagnosis.result import DetectionLimit, DiagnosedSession
 from swarmtwin.dynamics.evaluation import predict
-from swarmtwin.geometry import orientation_error_rad, position_error_mm
+from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.recording import Recording
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import offered
 from swarmtwin.studies.hidden_effects.baselines.black_box import learned_residual
 from swarmtwin.studies.hidden_effects.baselines.correlation_rules import suggested_cause
 from swarmtwin.studies.hidden_effects.baselines.parameter_fitting import fitted_causes
 from swarmtwin.studies.hidden_effects.baselines.true_model import true_model_answer
 from swarmtwin.studies.hidden_effects.cases import Case
+from swarmtwin.studies.hidden_effects.held_out_gain import ONLY_RANDOM, Displacements, held_out_gain
 from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
-from swarmtwin.studies.hidden_effects.results import Baselines, HeldOutGain, Result
-from swarmtwin.studies.hidden_effects.sessions import record_session
+from swarmtwin.studies.hidden_effects.results import Baselines, Result, is_another_unit
+from swarmtwin.studies.hidden_effects.sessions import Truth, record_session
 from swarmtwin.transitions import from_recording
-
-
-@dataclass(frozen=True)
-class Displacements:
-    """N displacements of a stand-in's session in three versions, each (N, 3).
-
-    Attributes:
-        measured: as the camera saw them.
-        simulated: as the simulation predicts them.
-        exact_mean: as the stand-in would do them on average, given its true state; None where only an engine knows.
-    """
-
-    measured: np.ndarray
-    simulated: np.ndarray
-    exact_mean: np.ndarray | None
-
-    def excess(self, predicted: np.ndarray, chosen: np.ndarray | slice = slice(None)) -> float:
-        """Return by how much the squared errors of (N, 3) exceed those of the exact mean, as a share of these.
-
-        Position and turn count alike. Squared, since that is what an exact mean makes least.
-        """
-        assert self.exact_mean is not None
-        measured, exact_mean, ratios = self.measured[chosen], self.exact_mean[chosen], []
-        for error in (position_error_mm, orientation_error_rad):
-            least = (error(exact_mean, measured) ** 2).mean()
-            ratios.append((error(predicted[chosen], measured) ** 2).mean() / least)
-        return float(np.mean(ratios) - 1.0)
 
 
 class Diagnosis(NamedTuple):
@@ -90,26 +68,24 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Resul
     transitions, held_out, said = diagnosed.transitions, diagnosed.held_out, diagnosed.result
     simulated = predict(diagnosed.simulation, transitions)
     known = Displacements(transitions.displacement, simulated, truth.measured.least_displacement(transitions))
-    twin = None
-    if truth.effects:
-        clean = truth.twin.transitions
-        clean = clean.where(np.isfinite(clean.previous_command).all(axis=1))
-        expected = predict(diagnosed.simulation, clean)
-        twin = Displacements(clean.displacement, expected, truth.twin.least_displacement(clean))
+    twin = _twin(truth, diagnosed)
+    extended = predict(diagnosed.extended or diagnosed.simulation, transitions)
+    conditions = diagnosis.reference.conditions_for(transitions)
     baselines = None
     if with_baselines:
         residual = learned_residual(transitions, simulated, held_out, case.seed)
         baselines = Baselines(
             fitted=fitted_causes(diagnosis.reference, transitions),
             rule=suggested_cause(diagnosis.reference, transitions, simulated),
-            black_box=_gain(known, twin, residual, held_out),
+            black_box=held_out_gain(known, twin, residual, held_out),
         )
     return result.model_copy(
         update={
             "verdict": said.verdict,
             "causes": said.causes,
             "depends_on": said.depends_on,
-            "gained": _gain(known, twin, predict(diagnosed.extended or diagnosed.simulation, transitions), held_out),
+            "gained": held_out_gain(known, twin, extended, held_out),
+            "times_limit": times_limit(truth.causes, said.detection_limits, transitions.robot, conditions),
             "baselines": baselines,
             "seconds": diagnosis.seconds,
             "learning_seconds": diagnosis.learning_seconds,
@@ -118,27 +94,42 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Resul
     )
 
 
-def _gain(
-    known: Displacements, twin: Displacements | None, extended: np.ndarray, held_out: np.ndarray, least: float = 0.04
-) -> HeldOutGain:
-    """Compare displacements (N, 3) of an extended simulation with those of the simulation, on held-out runs.
+def _twin(truth: Truth, diagnosed: DiagnosedSession) -> Displacements | None:
+    """Return the displacements of the session without its effects; None where they do not tell what these brought.
 
-    Where the effect brought less squared error than a share `least` of the exact mean's, no share of it is stated: it
-    would be one of noise. Nor is one where nothing is hidden, and there is no clean twin, or nobody knows exact means.
+    Where only an engine knows exact means, those of the held-out runs alone, so that what these runs have of their own
+    is in both.
     """
+    if not truth.effects:
+        return None
+    clean = truth.twin.transitions
+    clean = clean.where(np.isfinite(clean.previous_command).all(axis=1))
+    least = truth.twin.least_displacement(clean)
+    if least is None:
+        if ONLY_RANDOM.intersection(effect["name"] for effect in truth.effects):
+            return None
+        transitions = diagnosed.transitions
+        held_out = {run_of(transitions.runs[run]) for run in np.unique(transitions.run[diagnosed.held_out])}
+        clean = clean.where(np.array([clean.runs[run] in held_out for run in clean.run]))
+    return Displacements(clean.displacement, predict(diagnosed.simulation, clean), least)
 
-    def error_mm(predicted: np.ndarray) -> float:
-        return float(position_error_mm(predicted[held_out], known.measured[held_out]).mean())
 
-    before_mm, after_mm, least_mm = error_mm(known.simulated), error_mm(extended), None
-    share, share_to_floor = None, None
-    if known.exact_mean is not None:
-        least_mm = error_mm(known.exact_mean)
-    if twin and least_mm is not None:
-        before, after = known.excess(known.simulated, held_out), known.excess(extended, held_out)
-        brought = before - twin.excess(twin.simulated)
-        share = (before - after) / brought if brought > least else None
-        share_to_floor = (before - after) / before if before > least else None
-    return HeldOutGain(
-        before_mm=before_mm, after_mm=after_mm, least_mm=least_mm, share=share, share_to_floor=share_to_floor
-    )
+def times_limit(
+    causes: Mapping[str, Mapping[str, float]],
+    limits: Sequence[DetectionLimit],
+    robot: Robot,
+    conditions: SessionConditions,
+) -> float | None:
+    """Return the size of a single cause over its detection limit in a session: see `Result.times_limit`."""
+    if len(causes) != 1:
+        return None
+    name, true = next(iter(causes.items()))
+    limit = next((one for one in limits if one.cause == name), None)
+    if limit is None or limit.parameter not in true or is_another_unit(robot.name, limit.parameter):
+        return None
+    if limit.value is None:
+        return 0.0
+    parameter = offered(robot, conditions)[name].parameters_of(robot, conditions)[limit.parameter]
+    null = parameter.null_value or 0.0
+    size = math.hypot(*true.values()) if name == "marker_offset" else true[limit.parameter] - null
+    return abs(size / (limit.value - null))

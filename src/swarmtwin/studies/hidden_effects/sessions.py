@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtwin.configuration import config_folder
+from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.standin.effect import Effect
@@ -43,14 +44,15 @@ class FilmedSession:
     def least_displacement(self, transitions: Transitions) -> np.ndarray | None:
         """Return the exact mean displacements (N, 3) of transitions of this recording, given the true states.
 
-        None where an engine moved the vehicles: only formulas tell them.
+        Its long runs may have been cut into blocks. None where an engine moved the vehicles: only formulas tell them.
         """
         if self.family == "rigid_body":
             return None
-        away_s = np.abs(self.footage.time_s[transitions.run] - transitions.time_s[:, None])
+        runs = np.array([self.transitions.runs.index(run_of(name)) for name in transitions.runs])[transitions.run]
+        away_s = np.abs(self.footage.time_s[runs] - transitions.time_s[:, None])
         vehicles = np.array([self.footage.session.vehicles.index(vehicle) for vehicle in transitions.vehicles])
         expected: np.ndarray = mean_given_state(self.footage)
-        return expected[transitions.run, away_s.argmin(axis=1), vehicles[transitions.vehicle]].astype(float)
+        return expected[runs, away_s.argmin(axis=1), vehicles[transitions.vehicle]].astype(float)
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,14 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         ("one cause, 3 to 10 %: it and nothing else", "≥ 90 %", lambda own: _told(own["one"][MIDDLE]["exact"])),
         (of_known, "", lambda own: _told(own["one"][MIDDLE]["exact_of_known_vehicle"])),
         ("  a cause named that is not there", "", lambda own: _told(own["one"][MIDDLE]["falsely_named"])),
+        *(
+            (label, mark, lambda own, bin_name=bin_name: _told(own["limits"][bin_name]))
+            for label, bin_name, mark in (
+                ("one cause, once to twice its detection limit: it and nothing else", "once to twice", "≥ 90 %"),
+                ("  half of its limit to once", "half to once", ""),
+                ("  less than half of its limit", "below half", ""),
+            )
+        ),
         ("two causes: both and nothing else", "≥ 95 %", lambda own: _told(own["two"]["exact"])),
         (of_known, "", lambda own: _told(own["two"]["exact_of_known_vehicle"])),
         ("  a cause named that is not there", "", lambda own: _told(own["two"]["falsely_named"])),
