@@ -17,10 +17,11 @@ class Discrepancy:
     """Errors of a simulation as a sum of q functions: smooth ones of the commands, and what mechanisms would do.
 
     A learned simulation rounds the corner of a dead band, and is uncertain where commands are rare. In a mechanism's
-    own direction that looks like the mechanism, so these directions are among the functions.
+    own direction that looks like the mechanism, so these directions are among the functions. Where commands hold or
+    hardly change it is uncertain as well: commands that are drawn anew in each period seldom do.
 
     Attributes:
-        mechanisms: whose effect is a function each.
+        mechanisms: whose effect is a function each, and where commands hold another one.
         size: (q,) by which each function is divided, so that it is of the noise's size on the reference.
         mean: (q,) coefficients that the reference shows.
         root: (q, q) a root of their posterior covariance.
@@ -58,14 +59,18 @@ class Discrepancy:
 
 def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
     """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected."""
-    smooth = np.column_stack([smooth_functions(model.session), _local_functions(model.session)])
+    session, narrow, wide = model.session, *(_where_held(model.session, width) for width in (0.1, 0.25))
+    held = [_polynomials(session) * one[:, None] for one in (narrow, wide)]
+    smooth = np.column_stack([smooth_functions(session), _local_functions(session), *held])
     count = 3 * smooth.shape[1]
-    columns = np.zeros((len(smooth), 3, count + len(mechanisms)))
+    columns = np.zeros((len(smooth), 3, count + 2 * len(mechanisms)))
     for axis in range(3):
         first = axis * smooth.shape[1]
         columns[:, axis, first : first + smooth.shape[1]] = model.usual_spread[:, axis : axis + 1] * smooth
     for number, mechanism in enumerate(mechanisms):
-        columns[..., count + number] = model.changes_of(model.predictor.twist((mechanism,)))
+        change = model.changes_of(model.predictor.twist((mechanism,)))
+        columns[..., count + 2 * number] = change
+        columns[..., count + 2 * number + 1] = change * wide[:, None]
     return columns
 
 
@@ -74,6 +79,21 @@ def _local_functions(session: MeasuredSession, count: int = 24, waves: float = 4
     robot, rng = session.transitions.robot, np.random.default_rng(0)
     command = 2 * (session.transitions.command - robot.command_low) / (robot.command_high - robot.command_low) - 1
     return random_cosines(command, count, rng, waves)
+
+
+def _polynomials(session: MeasuredSession) -> np.ndarray:
+    """Return (N, q) polynomials of second degree of the command, without products."""
+    robot = session.transitions.robot
+    command = 2 * (session.transitions.command - robot.command_low) / (robot.command_high - robot.command_low) - 1
+    return np.column_stack([np.ones(len(command)), command, command**2])
+
+
+def _where_held(session: MeasuredSession, width: float) -> np.ndarray:
+    """Return (N,) 1 where the command holds, less by a Gaussian the more it changes, in shares of its range."""
+    robot, transitions = session.transitions.robot, session.transitions
+    change = (transitions.command - transitions.previous_command) / (robot.command_high - robot.command_low)
+    held: np.ndarray = np.exp(-(change**2).sum(axis=1) / (2 * width**2))
+    return held
 
 
 def _directions(model: SessionErrors, most: int = 12) -> Iterator[Mechanism]:

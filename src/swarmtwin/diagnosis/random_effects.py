@@ -168,6 +168,8 @@ def unit_changes(
 ) -> list[Tensor]:
     """Return by what simulated twists (N, 3) change, per unit of each difference that a unit may have.
 
+    It goes and turns farther, left and right differ, and the time constant with which it follows is longer.
+
     Args:
         predictor: of the simulation.
         twist: of which differences are looked at.
@@ -191,6 +193,10 @@ def unit_changes(
         step_rad = 0.05  # small beside any steering range, large beside float32
         askew = _by_other_commands(predictor, session, commands, (actuation.steering,), math.degrees(step_rad))
         changes.append(askew / step_rad)
+    own_lags = session.conditions.own_lags
+    if any(own_lags):
+        now, before = (predictor.base_twist(command, command) for command in commands)
+        changes.append(torch.tensor(own_lags, dtype=twist.dtype) * (before - now))
     return changes
 
 
