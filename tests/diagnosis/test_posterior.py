@@ -1,5 +1,6 @@
 """The posterior over sets of causes: forms of the same causes are summed up, evidence is told without prior odds."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from exact_model import conditions_of
 from swarmtwin.diagnosis.cause_report import leading_sets
 from swarmtwin.diagnosis.cause_search import CausePosterior, share_beside
 from swarmtwin.diagnosis.explanation import Explanation, explanation
-from swarmtwin.diagnosis.left_over import LeftOver
+from swarmtwin.diagnosis.left_over import LeftOver, Usual
 from swarmtwin.diagnosis.settings import DiagnosisSettings, SearchSettings
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -101,6 +102,9 @@ def test_a_cause_that_may_do_nothing_does_not_tell(robots, error, tells):
     assert explained.telling == (("gain_change",) if tells else ())
 
 
+USED = "parameters_of", "arrival_probability"
+
+
 def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_LEFT):
     """An explanation by causes, each with a parameter, its value and its error."""
 
@@ -120,7 +124,7 @@ def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_
     )
     best = SimpleNamespace(
         mechanisms=[
-            type(cause, (), {"name": cause, "parameters_of": mechanism_class(cause).parameters_of})()
+            type(cause, (), {"name": cause, **{name: getattr(mechanism_class(cause), name) for name in USED}})()
             for cause in estimates
         ],
         names=tuple(estimates),
@@ -130,7 +134,7 @@ def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_
     return Explanation(model, posterior or posterior_of(), best, gained, left, SimpleNamespace(probability=0.0))
 
 
-SAG, GAIN = ("loss", 0.5, 0.05), ("gain", 1.9, 0.6)
+SAG, GAIN, GAIN_SURE = ("loss", 0.5, 0.05), ("gain", 1.9, 0.6), ("gain", 1.5, 0.05)
 
 
 @pytest.mark.parametrize(
@@ -208,3 +212,32 @@ def test_causes_may_gain_less_by_chance_than_a_regression_does(robots):
     left = LeftOver(0.0, 0.0, most_uncertainty=50.0, most_by_chance=30.0)
     gain = {"gain_change": ("gain", 0.9, 0.01)}
     assert explanation_of(robots["mgr"], gain, posterior, 40.0, left).names == ("gain_change",)
+
+
+def residual_with(outliers, count=4000):
+    """Errors of unit variance, of which some are ten standard deviations large."""
+    residual = np.random.default_rng(1).normal(size=(count, 3))
+    residual[:outliers, 0] = 10.0
+    return residual
+
+
+@pytest.mark.parametrize(("outliers", "usual", "is_explained"), [(0, 0.0, True), (60, 0.0, False), (60, 0.012, True)])
+@pytest.mark.parametrize("cause", ["command_loss", "noise_change", "gain_change"])
+def test_outliers_of_which_the_reference_has_fewer_are_neither_lost_commands_nor_noise(
+    robots, outliers, usual, is_explained, cause
+):
+    estimates = {
+        "command_loss": {"command_loss": ("probability", 0.02, 0.002)},
+        "gain_change": {"gain_change": GAIN_SURE},
+    }
+    explained = explanation_of(robots["mgr"], estimates.get(cause, {}), posterior_of(**{cause: (300.0, 1)}))
+    fitted = SimpleNamespace(residual=residual_with(outliers), scale=np.ones(3))
+    explained = dataclasses.replace(
+        explained,
+        best=SimpleNamespace(**vars(explained.best), fitted=fitted),
+        motion_noise=SimpleNamespace(probability=0.99 if cause == "noise_change" else 0.0),
+        usual=Usual(outliers=lambda: usual),
+    )
+    expected = is_explained or cause == "gain_change"  # that moves the mean: outliers say nothing of it
+    assert explained.verdict == ("explained" if expected else "unexplained")
+    assert explained.names_motion_noise is (expected and cause == "noise_change")

@@ -7,7 +7,7 @@ import pytest
 import torch
 from exact_base import SPREAD, ExactBase, Losing, known_noise, session_of
 
-from exact_model import TRACK_MM
+from exact_model import TRACK_MM, LaggingDynamics
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
@@ -18,6 +18,7 @@ from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
 from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
 from swarmtwin.robot import Robot
+from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -72,6 +73,26 @@ def test_another_unit_whose_wheels_start_at_other_commands_is_no_gap(robots):
     for name, start in (("gain_change", {"gain": 1.0, "acts_on": "effort"}), ("actuator_asymmetry", {"ratio": 1.0})):
         assert nats(model, name, **start) < NAMED / 3
     assert nats(model_of(robots["mgr"], started, "1"), "actuator_asymmetry", ratio=1.0) > 2 * NAMED
+
+
+class LaggingBase(LaggingDynamics):
+    """As a diagnosis takes it."""
+
+    members = 0
+
+
+def test_another_unit_whose_motors_follow_a_little_more_slowly_is_no_gap(robots):
+    def moved(moment):
+        return exp_map(moment.way + 0.22 * (moment.way_before - moment.way))
+
+    base, found = LaggingBase(robots["mgr"]), {}
+    for vehicle in ("1", "2"):
+        session = session_of(base, np.random.default_rng(1), moved, vehicle=vehicle)
+        session = session.under(with_actuation(session.conditions, base, seed=1))
+        model = SessionLikelihood(base, known_noise(), session, ("1",))
+        found[vehicle] = nats(model, "actuator_lag", time_constant_s=0.02)
+    assert found["1"] > 2 * NAMED
+    assert found["2"] < NAMED / 3
 
 
 def test_another_unit_that_differs_much_is_a_gap(robots):

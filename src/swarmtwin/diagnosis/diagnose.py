@@ -24,7 +24,7 @@ from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.explanation import explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
-from swarmtwin.diagnosis.left_over import Usual
+from swarmtwin.diagnosis.left_over import Usual, outliers
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
     MechanismClass,
@@ -178,7 +178,11 @@ def usual_of(reference: Reference) -> Usual:
         model = own()
         return max(nats_by_history(model, model.evaluate([])), 0.0) / len(model.session)
 
-    return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session))
+    def outlier_share() -> float:
+        model = own()
+        return float(outliers(model, model.evaluate([])).mean())
+
+    return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session), outlier_share)
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:

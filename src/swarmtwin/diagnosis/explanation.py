@@ -1,7 +1,7 @@
 """Step 3, its end: what the causes of a session explain of what can be explained at all, and what is said of it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -9,8 +9,8 @@ from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate, with_uncertain_simulation
-from swarmtwin.diagnosis.left_over import LeftOver, Usual, left_over
-from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.left_over import LeftOver, Usual, left_over, outliers
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
 from swarmtwin.diagnosis.result import Verdict
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
@@ -27,6 +27,7 @@ class Explanation:
         gained: nats that they gain over no cause.
         left: what they leave over, in nats.
         motion_noise: how random the motion is beside these causes.
+        usual: what the reference's own errors show.
     """
 
     model: SessionLikelihood
@@ -35,6 +36,7 @@ class Explanation:
     gained: float
     left: LeftOver
     motion_noise: MotionNoiseChange
+    usual: Usual = field(default_factory=Usual)
 
     @property
     def share(self) -> float:
@@ -126,25 +128,41 @@ class Explanation:
                 found.append(name)
         return tuple(found)
 
+    @cached_property
+    def leaves_outliers(self) -> bool:
+        """Whether the causes leave more single large errors than the reference has, beyond chance.
+
+        What moves no mean is seen by the spread of errors alone, and any mishap now and then looks like it.
+        """
+        settings, large = self.model.settings.dependence, outliers(self.model, self.best.fitted)
+        usual = self.usual.outliers() + settings.least_tails_change
+        chance = stats.binom.sf(large.sum() - 1, len(large), usual)
+        return bool(chance < settings.false_discovery_rate)
+
     @property
     def names(self) -> tuple[str, ...]:
         """The causes that are named: those that are sure.
 
-        None where much is left, be it the simulation's uncertainty, where that may gain as much, where a value may
-        lie at the end of what it can be, or where it takes many causes: a name would be made up. One that may as well
-        do nothing is not among the causes any more.
+        None where much is left, be it the simulation's uncertainty, where outliers are left beside commands that are
+        said to be lost, where that uncertainty may gain as much, where a value may lie at the end of what it can be, or
+        where it takes many causes: a name would be made up. One that may as well do nothing is not among the causes any
+        more.
         """
         takes_many = len(self.posterior.best.names) > self.model.settings.search.most_causes
         if self._may_be_something_left or self.is_uncertain or self.at_an_end or takes_many:
+            return ()
+        if loses_commands([type(one) for one in self.best.mechanisms]) and self.leaves_outliers:
             return ()
         return self.sure
 
     @property
     def names_motion_noise(self) -> bool:
         """Whether the motion's randomness is a cause."""
-        return (
-            not self._may_be_something_left and self.motion_noise.probability >= self.model.settings.search.named_from
-        )
+        return self._is_more_random and not self._may_be_something_left and not self.leaves_outliers
+
+    @property
+    def _is_more_random(self) -> bool:
+        return self.motion_noise.probability >= self.model.settings.search.named_from
 
     @property
     def verdict(self) -> Verdict:
@@ -153,7 +171,8 @@ class Explanation:
             return "unexplained"
         if self.names or self.names_motion_noise:
             return "explained"
-        return "unexplained" if self.best.names and not self.is_uncertain else "no_gap"
+        is_seen = (self.best.names and not self.is_uncertain) or (self._is_more_random and self.leaves_outliers)
+        return "unexplained" if is_seen else "no_gap"
 
     @cached_property
     def mechanisms(self) -> tuple[Mechanism, ...]:
@@ -198,4 +217,4 @@ def _explained_by(
     best = with_uncertain_simulation(refined, estimate(refined, mechanisms, polish=True, final=True))
     gained = best.fitted.total - refined.evaluate([]).total
     noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
-    return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise)
+    return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise, usual)

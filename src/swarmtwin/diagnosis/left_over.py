@@ -23,11 +23,13 @@ class Usual(NamedTuple):
         noise_log: the log of the factor on the noise of the reference's own motion.
         history_nats: nats a transition that its own errors gain by those before them.
         transitions: how many these nats are known from.
+        outliers: the share of its own transitions with a large error.
     """
 
     noise_log: Callable[[], float] = float
     history_nats: Callable[[], float] = float
     transitions: Callable[[], int] = lambda: 1
+    outliers: Callable[[], float] = float
 
 
 class LeftOver(NamedTuple):
@@ -84,6 +86,12 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
         float(most[1]),
         by_chance,
     )
+
+
+def outliers(model: SessionLikelihood, fitted: FittedMechanisms) -> np.ndarray:
+    """Return (N,) in which transitions mechanisms leave a large error, in units of what they leave of all."""
+    large: np.ndarray = (np.abs(fitted.residual / fitted.scale) > model.settings.dependence.tail_z).any(axis=1)
+    return large
 
 
 def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, errors: np.ndarray) -> float:
