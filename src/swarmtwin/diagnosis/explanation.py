@@ -54,7 +54,7 @@ class Explanation:
         """Whether more is left over than chance, another form of the same causes, and an uncertain simulation leave."""
         left = self.left
         return self._is_too_much(
-            left.by_situation - left.most_uncertainty, left.by_history - left.most_lasting_uncertainty
+            left.by_situation - left.most_uncertainty, left.by_history - left.most_lasting_uncertainty, self.alarm
         )
 
     @property
@@ -75,7 +75,13 @@ class Explanation:
     @property
     def _may_be_something_left(self) -> bool:
         """Likewise, were the simulation certain."""
-        return self._is_too_much(self.left.by_situation, self.left.by_history)
+        return self._is_too_much(self.left.by_situation, self.left.by_history, self.alarm)
+
+    @property
+    def _may_be_another_cause(self) -> bool:
+        """Likewise, where less is enough: it takes little to say that these are not the causes, or not all of them."""
+        nats = self.model.settings.verdict.nameless_nats
+        return self._is_too_much(self.left.by_situation, self.left.by_history, nats)
 
     @cached_property
     def at_an_end(self) -> frozenset[str]:
@@ -111,10 +117,10 @@ class Explanation:
         for (number, _, parameter), value, reach in zip(parameters, self.best.values, reaches, strict=True):
             yield self.best.names[number], parameter, float(value), float(reach)
 
-    def _is_too_much(self, by_situation: float, by_history: float) -> bool:
+    def _is_too_much(self, by_situation: float, by_history: float, nats: float) -> bool:
         settings, gained = self.model.settings.verdict, max(self.gained, 0.0)
-        lasts = by_history > self.alarm + settings.most_lasting * gained
-        return lasts or by_situation > self.alarm + settings.most_left * gained
+        lasts = by_history > nats + settings.most_lasting * gained
+        return lasts or by_situation > nats + settings.most_left * gained
 
     @property
     def sure(self) -> tuple[str, ...]:
@@ -149,7 +155,7 @@ class Explanation:
         more.
         """
         takes_many = len(self.posterior.best.names) > self.model.settings.search.most_causes
-        if self._may_be_something_left or self.is_uncertain or self.at_an_end or takes_many:
+        if self._may_be_another_cause or self.is_uncertain or self.at_an_end or takes_many:
             return ()
         if loses_commands([type(one) for one in self.best.mechanisms]) and self.leaves_outliers:
             return ()

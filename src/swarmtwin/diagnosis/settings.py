@@ -245,6 +245,8 @@ class VerdictSettings(StrictModel):
         held_out_every: of so many runs the last is held out: nothing is fitted to it, gains are measured on it.
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
+        nameless_nats: left over by the causes from which on none of them is named: where nothing is left, a likelihood
+            ratio is as large in one of a thousand sessions at most (Markov's inequality).
         uncertainty_draws: of the simulation's own error, for what it would leave over where nothing is wrong.
         chance_draws: likewise, for what causes would gain by it.
         uncertainty_spreads: standard deviations over draws by which that may lie above their mean: of clean sessions
@@ -260,6 +262,7 @@ class VerdictSettings(StrictModel):
     held_out_every: Annotated[int, Field(ge=2)] = 4
     alarm_nats: Positive = 15.0
     alarm_nats_a_transition: NonNegative = 0.002
+    nameless_nats: Positive = 7.0
     uncertainty_draws: Count = 12
     chance_draws: Count = 100
     uncertainty_spreads: NonNegative = 3.0
