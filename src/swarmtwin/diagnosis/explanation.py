@@ -164,7 +164,8 @@ class Explanation:
     @property
     def names_motion_noise(self) -> bool:
         """Whether the motion's randomness is a cause."""
-        return self._is_more_random and not self._may_be_something_left and not self.leaves_outliers
+        is_in_doubt = self._may_be_something_left or (self.best.names and self._may_be_another_cause)
+        return self._is_more_random and not is_in_doubt and not self.leaves_outliers
 
     @property
     def _is_more_random(self) -> bool:
