@@ -9,7 +9,8 @@ import pytest
 from scipy import stats
 
 from case_results import result
-from swarmtwin.diagnosis.result import Estimate
+from exact_model import conditions_of
+from swarmtwin.diagnosis.result import DetectionLimit, Estimate
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
 from swarmtwin.studies.hidden_effects.held_out_gain import Displacements, HeldOutGain, held_out_gain
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, expected_calibration_error, summarise
@@ -21,6 +22,7 @@ from swarmtwin.studies.hidden_effects.results import (
     read_results,
     results_table,
 )
+from swarmtwin.studies.hidden_effects.scoring import times_limit
 from swarmtwin.studies.hidden_effects.study import ScoringJob
 from swarmtwin.studies.hidden_effects.tables import study_tables
 
@@ -352,3 +354,22 @@ def test_the_share_of_a_gain_is_of_what_the_effect_brought_whether_or_not_exact_
     assert (gain.least_mm, gain.share_to_floor) == ((1.0, pytest.approx(8 / 9)) if is_known else (None, None))
     nothing = held_out_gain(twin, twin, twin.simulated, held_out)
     assert nothing.share is None
+
+
+@pytest.mark.parametrize(
+    ("robot", "causes", "parameter", "limit", "times"),
+    [
+        ("mgr", {"gain_change": {"gain": 0.8}}, "gain", 1.1, 2.0),  # to either side of 1
+        ("mgr", {"marker_offset": {"forward_mm": 3.0, "left_mm": -4.0}}, "left_mm", 2.0, 2.5),
+        ("mgr", {"command_delay": {"delay_s": 0.01}}, "delay_s", None, 0.0),  # none that could be would be named
+        ("mgr", {"steady_drift": {"speed_mm_s": 2.0}}, "x_mm_s", 1.0, None),
+        ("mur", {"gain_change": {"gain": 0.8}}, "gain", 1.1, None),  # of thrust, told of speed
+        ("mgr", {"gain_change": {"gain": 0.8}, "command_delay": {"delay_s": 0.01}}, "gain", 1.1, None),
+    ],
+)
+def test_an_effect_is_so_many_times_as_large_as_its_limit(robots, robot, causes, parameter, limit, times):
+    stated = DetectionLimit(
+        cause=next(iter(causes)), parameter=parameter, value=limit, unit="", share_of_range=0.1, rival=None
+    )
+    found = times_limit(causes, [stated], robots[robot], conditions_of(robots[robot]))
+    assert found == (None if times is None else pytest.approx(times))
