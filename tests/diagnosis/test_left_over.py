@@ -6,9 +6,10 @@ import torch
 from exact_base import ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
+from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
-from swarmtwin.diagnosis.left_over import nats_of_uncertainty
+from swarmtwin.diagnosis.left_over import Usual, left_over, nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.screening import sought_kinds
@@ -129,3 +130,16 @@ def test_what_the_best_cause_gains_by_chance_holds_what_it_gains_of_another_simu
     gained = max(one.fitted.total for one in single) - posterior.nothing.fitted.total
     drawn = nats_by_chance(model, model.evaluate([]).residual, 100)
     assert gained < drawn.mean() + 3 * drawn.std()
+
+
+def test_ground_on_which_vehicles_go_farther_along_than_across_is_seen(robots):
+    def brushed(moment):
+        return exp_map(moment.way * (1 + 0.06 * torch.cos(2 * (moment.pose[:, 2:] - 0.4))))
+
+    found = {}
+    for name, moved in (("brushed", brushed), ("even", as_simulated)):
+        session = session_of(ExactBase(robots["mgr"]), np.random.default_rng(8), moved)
+        model = SessionLikelihood(ExactBase(robots["mgr"]), known_noise(), session)
+        found[name] = left_over(model, estimate(model, []), 0.0, Usual()).by_situation
+    assert found["brushed"] > 40
+    assert found["even"] < 5
