@@ -58,8 +58,9 @@ def test_what_a_job_raises_is_raised_here():
     def fail(report):
         raise UserError("this recording has no rows")
 
-    with pytest.raises(UserError, match=r"^this recording has no rows$"):
+    with pytest.raises(UserError, match=r"^this recording has no rows$") as raised:
         run_on_cluster([job(fail)], print, None, "cluster=local")
+    assert "in fail" in str(raised.value.__cause__)  # where it was raised there
 
 
 @pytest.mark.services
