@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pyarrow.parquet
 import pytest
+from matplotlib.figure import Figure
 
 from drives import drive, write_drive
 from swarmtwin.errors import UserError
@@ -21,6 +22,7 @@ from swarmtwin.transitions import (
     load_transitions,
     split_by_run,
 )
+from swarmtwin.transitions.displacement_plots import _draw_runs
 from swarmtwin.transitions.preparation import describe, save_preparation, stored_transitions
 from swarmtwin.transitions.preparing import prepare
 from swarmtwin.transitions.transitions import array_fields
@@ -169,3 +171,18 @@ def test_a_vehicle_that_does_not_drive_is_named_after_all_is_read(recording, mgr
     with pytest.raises(UserError, match=rf"^{recording}: no vehicle '4': known: 1, 2, 3"):
         prepare(recording, mgr, SPLIT, tmp_path / "parts", ("4",), rows_at_a_time=300)
     assert list((tmp_path / "parts").iterdir()) == []
+
+
+def test_of_long_runs_a_picture_shows_some_poses_of_all(mgr, tmp_path):
+    recording = write_drive(tmp_path / "monday", mgr, drive(mgr, runs=2, steps=900), "one_file")
+    stored = stored_transitions(prepared(recording, mgr, tmp_path / "parts", 500))
+    figures = [Figure(), Figure()]
+    for figure, most in zip(figures, (10**6, 300), strict=True):
+        _draw_runs(figure.subplots(), stored, 40, most)
+    shown, some = ([line.get_xydata() for line in figure.axes[0].lines] for figure in figures)
+    assert len(shown) == len(some) == 2 * 40  # of each block and vehicle
+    assert sum(map(len, shown)) == len(stored)
+    assert sum(map(len, some)) <= 1.1 * 300
+    for way, points in zip(shown, some, strict=True):
+        assert len(points) >= 1
+        assert {tuple(point) for point in points} <= {tuple(point) for point in way}

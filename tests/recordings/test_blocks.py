@@ -10,7 +10,8 @@ from drives import drive, header_of, write_drive
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.reference import conditions_of, require_enough
 from swarmtwin.diagnosis.settings import ReferenceSettings
-from swarmtwin.recordings.blocks import in_blocks, run_of
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.blocks import in_blocks, run_of, table_in_blocks
 from swarmtwin.recordings.reading import read_recording
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.transitions import SPLITS, from_recording, split_by_run
@@ -109,3 +110,57 @@ def test_runs_that_are_few_beside_empty_ones_are_cut(mgr, tmp_path):
     found = read_recording(folder, mgr)
     assert found.runs == expected.runs
     assert len(found.runs) > 7
+
+
+@pytest.fixture
+def at_most_100_rows(monkeypatch):
+    monkeypatch.setitem(table_in_blocks.__kwdefaults__, "most_rows", 100)
+
+
+@pytest.mark.usefixtures("at_most_100_rows")
+@pytest.mark.parametrize("file_format", ["csv", "parquet", "one_file"])
+@pytest.mark.parametrize("runs", [1, 9])
+def test_a_run_of_many_rows_is_cut_however_many_there_are(mgr, tmp_path, file_format, runs):
+    tracks = drive(mgr, runs=runs, steps=399, vehicles=("2", "1"))
+    recording = read_recording(write_drive(tmp_path / "long", mgr, tracks, file_format), mgr)
+    assert max(sum(len(track) for track in recording.tracks if track.run == run) for run in recording.runs) <= 100
+    assert [run_of(name) for name in recording.runs] == sorted(run_of(name) for name in recording.runs)
+    for whole in tracks:
+        own = [track for track in recording.tracks if (run_of(track.run), track.vehicle) == (whole.run, whole.vehicle)]
+        assert len(own) >= 8
+        together = (np.concatenate([getattr(track, name) for track in own]) for name in ("time_s", "command", "pose"))
+        joined = dataclasses.replace(whole, **dict(zip(("time_s", "command", "pose"), together, strict=True)))
+        np.testing.assert_allclose(joined.time_s, whole.time_s, atol=1e-3)
+        np.testing.assert_allclose(joined.command, whole.command, atol=1e-3)
+        np.testing.assert_allclose(joined.pose, whole.pose, atol=1e-3)
+
+
+@pytest.mark.usefixtures("at_most_100_rows")
+@pytest.mark.parametrize("row", [3, 250, 391])
+def test_a_fault_in_a_run_that_is_cut_is_told_by_its_row_in_the_file(mgr, tmp_path, row):
+    folder = write_drive(tmp_path / "long", mgr, drive(mgr, runs=1, steps=399, vehicles=("1",)), "parquet")
+    file = next((folder / "runs").iterdir())
+    table = pd.read_parquet(file)
+    table.loc[row, "time_s"] = table.loc[row - 2, "time_s"]
+    table.to_parquet(file, index=False)
+    with pytest.raises(UserError, match=f"row {row + 1}, column 'time_s': vehicle '1' goes back in time"):
+        read_recording(folder, mgr)
+    table.loc[row, "time_s"] = table.loc[row - 1, "time_s"]
+    table.to_parquet(file, index=False)
+    with pytest.raises(UserError, match=f"row {row + 1}, column 'vehicle': vehicle '1' has two different rows"):
+        read_recording(folder, mgr)
+
+
+@pytest.mark.usefixtures("at_most_100_rows")
+def test_a_row_without_time_stays_with_the_one_before(mgr, tmp_path):
+    folder = write_drive(tmp_path / "long", mgr, drive(mgr, runs=1, steps=399, vehicles=("1", "2")), "parquet")
+    file = next((folder / "runs").iterdir())
+    table = pd.read_parquet(file)
+    rows = np.flatnonzero(table.vehicle == "2")[[0, 130, 131, 260]]
+    table.loc[rows, "time_s"] = np.nan
+    table.to_parquet(file, index=False)
+    recording = read_recording(folder, mgr)
+    assert recording.dropped_rows == {"no_time": 4}
+    second = [track for track in recording.tracks if track.vehicle == "2"]
+    unknown = np.concatenate([np.isnan(track.command).any(axis=1) for track in second])
+    assert np.flatnonzero(unknown).tolist() == [128, 256, 395]  # those before, and the last

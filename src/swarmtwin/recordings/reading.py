@@ -17,7 +17,7 @@ import yaml
 from swarmtwin.errors import UserError
 from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
-from swarmtwin.recordings.blocks import FEWEST_RUNS, enough_runs, in_blocks, one_in_blocks
+from swarmtwin.recordings.blocks import FEWEST_RUNS, enough_runs, in_blocks, run_of, table_in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
@@ -36,7 +36,8 @@ logger = logging.getLogger(__name__)
 def read_recording(folder: Path, robot: Robot) -> Recording:
     """Read the recording of `robot` in `folder`, and judge it as a whole. Nothing in it is modified.
 
-    Where there are few runs, long ones are cut into blocks, which count as runs from here on: see `in_blocks`.
+    Where there are few runs, long ones are cut into blocks, and very long ones always; blocks count as runs from here
+    on: see `table_in_blocks`.
 
     Faults of single rows are counted in `Recording.dropped_rows` and logged in one line; what is unusual of the whole
     is in `Recording.warnings`, and logged.
@@ -58,9 +59,9 @@ def read_in_parts(
     Args:
         folder: the recording's.
         robot: whose it is.
-        take: given the recording's parts one after the other, each of whole runs, in order. What it makes of them is
-            to be thrown away if an error follows: the recording is judged when all of it has been read.
-        rows_at_a_time: about so many rows make a part, or one run does that has more.
+        take: given the recording's parts one after the other, each of whole runs or blocks, in order. What it makes of
+            them is to be thrown away if an error follows: the recording is judged when all of it has been read.
+        rows_at_a_time: about so many rows make a part, or one run or block does that has more.
 
     Returns:
         What is known of the whole; its tracks, which `take` was given, are left out.
@@ -71,15 +72,17 @@ def read_in_parts(
     folder = Path(folder)
     header, files = look_into(folder, robot)
     _log_others(folder / RUNS_FOLDER)
-    parts = _Parts(Recording(robot, header, ()), take, rows_at_a_time, _runs_in(files))
+    runs = _runs_in(files)
+    parts = _Parts(Recording(robot, header, ()), take, rows_at_a_time, few=not enough_runs(runs))
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
     for run, table in _run_tables(files, robot, digest):
         unread |= dict.fromkeys(table.unread)
-        tracks, run_dropped = tracks_of(table, run, header.vehicles)
-        dropped += run_dropped
-        parts.add(tracks, table)
+        for name, rows in table_in_blocks(run, table, runs):
+            tracks, run_dropped = tracks_of(rows, name, header.vehicles)
+            dropped += run_dropped
+            parts.add(tracks, rows)
     parts.judge_all()
     if not parts.spans:
         raise fault(
@@ -94,8 +97,8 @@ def read_in_parts(
     for warning in warnings:
         logger.warning("%s: %s", folder, warning)
     parts.give_rest()
-    if parts.blocks > len({span.run for span in parts.spans}):
-        logger.info("%s: few runs, taken as %d blocks", folder, parts.blocks)
+    if parts.blocks > len({run_of(span.run) for span in parts.spans}):
+        logger.info("%s: long runs, taken as %d blocks", folder, parts.blocks)
     return Recording(robot, header, (), dict(dropped), digest.hexdigest(), warnings, sent)
 
 
@@ -111,7 +114,7 @@ class _Span(NamedTuple):
 class _Parts:
     """Puts runs together to parts as they are read, lets what it is judged by pass by, and gives the parts away.
 
-    Of so few runs that these have to be cut, each is cut as it is read.
+    What is read may be blocks of runs, which count as runs.
 
     Attributes:
         spans: of the tracks so far, in order.
@@ -121,14 +124,13 @@ class _Parts:
         blocks: so many runs, or blocks of these, there were so far.
     """
 
-    def __init__(self, whole: Recording, take: Callable[[Recording], None], rows_at_a_time: int, runs: int) -> None:
+    def __init__(self, whole: Recording, take: Callable[[Recording], None], rows_at_a_time: int, few: bool) -> None:
         self.spans: list[_Span] = []
         self.rows = SampledRows(whole.robot)
         self.in_degrees: SampledRows | None = None
         self._whole, self._take, self._rows_at_a_time = whole, take, rows_at_a_time
         self.blocks = 0
-        self._runs = runs
-        self._seen = 0
+        self._few = few
         self._beyond_a_turn = False
         self._waiting: list[Track] = []
         self._unjudged: list[Track] = []
@@ -143,10 +145,8 @@ class _Parts:
         self.spans += [
             _Span(track.vehicle, float(track.time_s[0]), float(track.time_s[-1]), track.run) for track in tracks
         ]
-        self._seen += 1
-        blocks = list(one_in_blocks(tracks, self._runs) if self._are_few else tracks)
-        self.blocks += len({block.run for block in blocks})
-        self._waiting += blocks
+        self.blocks += 1
+        self._waiting += tracks
         self._unjudged += tracks
         self._unjudged_rows += sum(map(len, tracks))
         if self._beyond_a_turn:
@@ -155,7 +155,7 @@ class _Parts:
             self._unjudged_in_degrees += tracks_of(table.with_headings_in_degrees(), tracks[0].run, known)[0]
         if self._unjudged_rows >= self._rows_at_a_time:
             self.judge_all()
-            if self._are_few or enough_runs(self._seen):
+            if self._few or enough_runs(self.blocks):
                 self._give_waiting()
 
     def judge_all(self) -> None:
@@ -167,14 +167,10 @@ class _Parts:
 
     def give_rest(self) -> None:
         """Give away what is left, cut into blocks where runs are few beside those that hold no complete row."""
-        if not self._are_few and not enough_runs(self._seen):
+        if not self._few and not enough_runs(self.blocks):
             self._waiting = list(in_blocks(self._waiting))
             self.blocks = len({block.run for block in self._waiting})
         self._give_waiting()
-
-    @property
-    def _are_few(self) -> bool:
-        return not enough_runs(self._runs)
 
     def _give_waiting(self) -> None:
         """Give away what waits, in parts of whole runs or blocks."""
@@ -330,5 +326,5 @@ def _overlapping_runs(spans: Sequence[_Span]) -> tuple[str, str, str] | None:
     ordered = sorted(spans, key=lambda span: (span.vehicle, span.begun_s))
     for earlier, later in itertools.pairwise(ordered):
         if earlier.vehicle == later.vehicle and later.begun_s < earlier.ended_s:
-            return earlier.vehicle, earlier.run, later.run
+            return earlier.vehicle, run_of(earlier.run), run_of(later.run)
     return None

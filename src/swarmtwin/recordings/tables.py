@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import pyarrow as pa
@@ -94,6 +94,22 @@ class RunTable:
     unread: tuple[str, ...]
     row_number: Callable[[int], int]
 
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def at(self, rows: np.ndarray, truncated: bool) -> Self:
+        """Return those rows (S,), which keep their numbers; whether the file broke off after them is to be said."""
+        whole = self.row_number
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            vehicle=self.vehicle[rows],
+            command=self.command[rows],
+            pose=self.pose[rows],
+            truncated=truncated,
+            row_number=lambda index: whole(int(rows[index])),
+        )
+
     def with_headings_in_degrees(self) -> Self:
         """Return it with headings taken for degrees."""
         return replace(self, pose=np.column_stack([self.pose[:, :2], np.deg2rad(self.pose[:, 2])]))
@@ -122,7 +138,7 @@ def _parse_csv(file: Path, content: bytes, robot: Robot) -> RunTable:
     def row_number(index: int) -> int:
         return _line_number(complete, index + 1)
 
-    return _run_table(file, table, robot, len(complete) < len(content), unread, row_number)
+    return _run_table(file, [table], robot, len(complete) < len(content), unread, row_number)
 
 
 def _check_text(file: Path, content: bytes) -> None:
@@ -196,7 +212,7 @@ def _parse_parquet(file: Path, content: bytes, robot: Robot) -> RunTable:
         raise _unreadable(file, error) from None
     if not len(stored):
         raise fault(file, "there are no rows", "record the run again, or remove the file")
-    return _run_table(file, _cast_columns(file, stored, robot), robot, False, unread, lambda index: index + 1)
+    return _run_table(file, [_cast_columns(file, stored, robot)], robot, False, unread, lambda index: index + 1)
 
 
 def parse_runs_together(file: Path, robot: Robot) -> Iterator[tuple[str, RunTable]]:
@@ -217,11 +233,11 @@ def parse_runs_together(file: Path, robot: Robot) -> Iterator[tuple[str, RunTabl
         if RUN_COLUMN not in names:
             raise fault(file, f"column {RUN_COLUMN!r} is missing", "add it: the name of the run that each row is of")
         done: set[str] = set()
-        for run, first_row, table in _rows_by_run(file, parquet, robot):
+        for run, first_row, pieces in _rows_by_run(file, parquet, robot):
             if run in done:
                 raise fault(file, f"the rows of run {run!r} do not stand together", "sort the rows by run", first_row)
             done.add(run)
-            yield run, _run_table(file, table, robot, False, unread, functools.partial(operator.add, first_row))
+            yield run, _run_table(file, pieces, robot, False, unread, functools.partial(operator.add, first_row))
     if not done:
         raise fault(file, "there are no rows", "record again, or remove the file")
 
@@ -240,8 +256,10 @@ def count_runs(file: Path, most: int) -> int:
     return min(len(names), most)
 
 
-def _rows_by_run(file: Path, parquet: pa.parquet.ParquetFile, robot: Robot) -> Iterator[tuple[str, int, pa.Table]]:
-    """Yield runs of equal names as they stand: name, number of the first row from 1, rows."""
+def _rows_by_run(
+    file: Path, parquet: pa.parquet.ParquetFile, robot: Robot
+) -> Iterator[tuple[str, int, list[pa.Table]]]:
+    """Yield runs of equal names as they stand: name, number of the first row from 1, rows in pieces."""
     begun: list[pa.Table] = []
     name, first_row, row = "", 1, 1
     for stored in _stored_rows(file, parquet, [RUN_COLUMN, *run_columns(robot)]):
@@ -255,30 +273,48 @@ def _rows_by_run(file: Path, parquet: pa.parquet.ParquetFile, robot: Robot) -> I
         edges = [0, *(np.flatnonzero(code[1:] != code[:-1]) + 1).tolist(), len(code)] if len(code) else [0]
         for start, end in itertools.pairwise(edges):
             if begun and names[code[start]] != name:
-                yield name, first_row, pa.concat_tables(begun)
+                yield name, first_row, begun
                 begun = []
             if not begun:
                 name, first_row = names[code[start]], row + start
             begun.append(table.slice(start, end - start))
         row += len(code)
     if begun:
-        yield name, first_row, pa.concat_tables(begun)
+        yield name, first_row, begun
 
 
 def _stored_rows(
     file: Path, parquet: pa.parquet.ParquetFile, columns: Sequence[str], most: int = 250_000
 ) -> Iterator[pa.Table]:
-    """Yield the rows of a file, at most so many at a time: others than we write one row group of millions."""
-    batches = parquet.iter_batches(most, columns=list(columns), use_threads=False)
-    while True:
-        try:
-            batch = next(batches, None)
-            if batch is None:
-                return
-            batch.validate(full=True)
-        except (pa.ArrowException, OSError, ValueError) as error:
-            raise _unreadable(file, error) from None
-        yield pa.Table.from_batches([batch])
+    """Yield the rows of a file, at most so many at a time: others than we write one row group of millions.
+
+    Row groups are read some at a time, since what is read ahead of one is kept until all of them have passed by.
+    """
+    for groups in _groups_together(parquet.metadata, most):
+        batches = parquet.iter_batches(most, row_groups=groups, columns=list(columns), use_threads=False)
+        while True:
+            try:
+                batch = next(batches, None)
+                if batch is None:
+                    break
+                batch.validate(full=True)
+            except (pa.ArrowException, OSError, ValueError) as error:
+                raise _unreadable(file, error) from None
+            yield pa.Table.from_batches([batch])
+
+
+def _groups_together(metadata: pa.parquet.FileMetaData, rows: int) -> Iterator[list[int]]:
+    """Yield numbers of row groups, some at a time that hold so many rows or are one."""
+    together: list[int] = []
+    held = 0
+    for group in range(metadata.num_row_groups):
+        together.append(group)
+        held += metadata.row_group(group).num_rows
+        if held >= rows:
+            yield together
+            together, held = [], 0
+    if together:
+        yield together
 
 
 def _cast_columns(file: Path, stored: pa.Table, robot: Robot) -> pa.Table:
@@ -303,32 +339,46 @@ def _cast(file: Path, name: str, column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 def _run_table(
     file: Path,
-    table: pa.Table,
+    pieces: list[pa.Table],
     robot: Robot,
     truncated: bool,
     unread: tuple[str, ...],
     row_number: Callable[[int], int],
 ) -> RunTable:
-    encoded = table.column("vehicle").combine_chunks().dictionary_encode()
-    vehicles = tuple(encoded.dictionary.to_pylist())
-    codes = pc.fill_null(encoded.indices, -1).to_numpy(zero_copy_only=False)
-    nameless = (codes < 0) | np.isin(codes, [index for index, vehicle in enumerate(vehicles) if not vehicle.strip()])
-    if nameless.any():
-        row = row_number(int(np.argmax(nameless)))
+    """Put the rows of a run together, which come in pieces; each is let go, so that a long run is in memory once."""
+    count = sum(map(len, pieces))
+    vehicle, numbers = np.empty(count, np.int32), np.empty((count, 1 + len(robot.command_columns) + len(POSE_COLUMNS)))
+    vehicles: dict[str | None, int] = {}
+    first = 0
+    pieces.reverse()
+    while pieces:
+        piece = pieces.pop()
+        rows = slice(first, first + len(piece))
+        vehicle[rows] = _codes(piece.column("vehicle"), vehicles)
+        for place, name in enumerate(("time_s", *robot.command_columns, *POSE_COLUMNS)):
+            numbers[rows, place] = piece.column(name).to_numpy()
+        first += len(piece)
+    pa.default_memory_pool().release_unused()
+    nameless = [code for name, code in vehicles.items() if not (name or "").strip()]
+    if nameless:
+        row = row_number(int(np.argmax(np.isin(vehicle, nameless))))
         raise fault(file, "no vehicle is named", "write the vehicle's id", row, "vehicle")
     return RunTable(
         file=file,
-        time_s=_numbers(table, ("time_s",))[:, 0],
-        vehicle=codes,
-        command=_numbers(table, robot.command_columns),
-        pose=_numbers(table, POSE_COLUMNS),
-        vehicles=vehicles,
+        time_s=numbers[:, 0],
+        vehicle=vehicle,
+        command=numbers[:, 1 : -len(POSE_COLUMNS)],
+        pose=numbers[:, -len(POSE_COLUMNS) :],
+        vehicles=tuple(name for name in vehicles if name is not None),
         truncated=truncated,
         unread=unread,
         row_number=row_number,
     )
 
 
-def _numbers(table: pa.Table, names: tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Stack columns of `table` as (R, len(names)); an empty cell becomes NaN."""
-    return np.column_stack([table.column(name).to_numpy() for name in names]).astype(np.float64, copy=False)
+def _codes(names: pa.ChunkedArray, known: dict[str | None, int]) -> np.ndarray:
+    """Return (R,) the number of each name, None for an empty cell; those that are new are added to what is `known`."""
+    encoded = names.combine_chunks().dictionary_encode(null_encoding="encode")
+    numbers = [known.setdefault(name, len(known)) for name in encoded.dictionary.to_pylist()]
+    codes: np.ndarray = np.array(numbers, np.int32)[encoded.indices.to_numpy(zero_copy_only=False)]
+    return codes

@@ -51,13 +51,23 @@ def _spread_evenly(transitions: TransitionSource, most: int) -> tuple[np.ndarray
     return np.concatenate(command), np.concatenate(moved)
 
 
-def _draw_runs(panel: Axes, transitions: TransitionSource, most: int) -> None:
-    numbers = [np.unique(block["run"])[:most] for block in transitions.blocks(("run",))]
-    drawn = np.unique(np.concatenate(numbers))[:most]
-    some = transitions.chosen(lambda run, _: np.isin(run, drawn))
+def _draw_runs(panel: Axes, transitions: TransitionSource, most: int, most_poses: int = 100_000) -> None:
+    """Draw the ways of the first runs, of long ones every second, third … pose."""
+    lengths = sum(
+        (np.bincount(block["run"], minlength=len(transitions.runs)) for block in transitions.blocks(("run",))),
+        start=np.zeros(len(transitions.runs), dtype=int),
+    )
+    drawn = np.flatnonzero(lengths)[:most]
+    every = max(1, -(-int(lengths[drawn].sum()) // most_poses))
+    parts: dict[str, list[np.ndarray]] = {"run": [], "vehicle": [], "pose": []}
+    for block in transitions.blocks(tuple(parts)):
+        rows = np.flatnonzero(np.isin(block["run"], drawn))[::every]
+        for name, part in parts.items():
+            part.append(block[name][rows])
+    some = {name: np.concatenate(part) for name, part in parts.items()}
     for run in drawn:
-        for vehicle in np.unique(some.vehicle[some.run == run]):
-            pose = some.pose[(some.run == run) & (some.vehicle == vehicle)]
+        for vehicle in np.unique(some["vehicle"][some["run"] == run]):
+            pose = some["pose"][(some["run"] == run) & (some["vehicle"] == vehicle)]
             panel.plot(pose[:, 0], pose[:, 1], color=MEASURED, linewidth=0.6, alpha=0.6)
     panel.set(title=f"the first {min(most, len(transitions.runs))} runs", xlabel="x, mm", ylabel="y, mm")
     panel.set_aspect("equal")

@@ -39,9 +39,10 @@ def doubtful_rows(rows: Rows, robot: Robot) -> np.ndarray:
     for pair in np.flatnonzero(outlier & ~jump):
         jump[pair] = _lands_on_another(rows, robot, start[pair], end[pair])
     cut_rows = end[jump]
-    for track in np.unique(rows.track[cut_rows]):
-        of_track = seen[_span(rows.track[seen], track)]
-        segments = np.split(of_track, np.searchsorted(of_track, cut_rows[_span(rows.track[cut_rows], track)]))
+    track_seen, track_cut = rows.track[seen], rows.track[cut_rows]
+    for track in np.unique(track_cut):
+        of_track = seen[_span(track_seen, track)]
+        segments = np.split(of_track, np.searchsorted(of_track, cut_rows[_span(track_cut, track)]))
         for segment in _doubtful_segments(rows, robot, segments):
             doubtful[segment] = True
     return doubtful
@@ -56,7 +57,7 @@ def _lands_on_another(rows: Rows, robot: Robot, start: int, end: int) -> bool:
     """Whether a jump ends where another vehicle of the run can have been, judged by its pose at the jump's start."""
     reach_mm = _reach_mm(robot) * max((rows.time_s[end] - rows.time_s[start]) / robot.period_s, 1.0)
     of_run = _span(rows.run, rows.run[start])
-    for track in np.unique(rows.track[of_run]):
+    for track in range(rows.track[of_run.start], rows.track[of_run.stop - 1] + 1):
         other = _span(rows.track, track)
         after = other.start + int(np.searchsorted(rows.time_s[other], rows.time_s[start]))
         nearest = np.arange(max(after - 1, other.start), min(after + 1, other.stop))
@@ -75,7 +76,7 @@ def _doubtful_segments(rows: Rows, robot: Robot, segments: list[np.ndarray]) -> 
         segments = segments[1:]  # a first pose misread: no transition starts from it anyway
     trusted, doubtful = segments[0][-1], []
     for index, segment in enumerate(segments[1:], start=1):
-        moved_by_hand = alone and not _comes_back(rows, robot, trusted, segments[index + 1 :])
+        moved_by_hand = alone and not _comes_back(rows, robot, trusted, segments, index + 1)
         if moved_by_hand or _reachable(rows, robot, trusted, segment[0]):
             trusted = segment[-1]
         else:
@@ -84,11 +85,17 @@ def _doubtful_segments(rows: Rows, robot: Robot, segments: list[np.ndarray]) -> 
 
 
 def _comes_back(
-    rows: Rows, robot: Robot, trusted: int, later: list[np.ndarray], longest_misread_periods: int = 10
+    rows: Rows, robot: Robot, trusted: int, segments: list[np.ndarray], later: int, longest_misread_periods: int = 10
 ) -> bool:
+    """Whether one of the segments from `later` on begins soon and where the last trusted pose allows."""
     latest_s = rows.time_s[trusted] + longest_misread_periods * robot.period_s
-    soon = [segment[0] for segment in later if rows.time_s[segment[0]] <= latest_s]
-    return any(_reachable(rows, robot, trusted, row) for row in soon)
+    for number in range(later, len(segments)):
+        row = segments[number][0]
+        if rows.time_s[row] > latest_s:
+            return False
+        if _reachable(rows, robot, trusted, row):
+            return True
+    return False
 
 
 def _reachable(rows: Rows, robot: Robot, start: int, end: int) -> bool:
