@@ -3,9 +3,16 @@
 from itertools import product
 
 import numpy as np
+import pytest
+from exact_base import ExactBase, Losing, known_noise, session_of
 
+from swarmtwin.diagnosis.estimation import estimate
+from swarmtwin.diagnosis.explanation import beyond_usual_loss
+from swarmtwin.diagnosis.left_over import Usual
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.lost_commands import _log_density
 from swarmtwin.diagnosis.noise_filter import Chains
+from swarmtwin.simulation.mechanism import mechanism_class
 
 
 def summed_over_courses(emitted, arrives):
@@ -28,3 +35,24 @@ def test_each_run_is_as_likely_as_all_its_courses_together():
     density = _log_density(*Chains.of(runs), emitted, 0.7)
     for run in runs:
         assert np.isclose(density[run].sum(), summed_over_courses(emitted[run], 0.7))
+
+
+@pytest.mark.parametrize("usual", [0.0, 0.01, 0.2])
+def test_what_the_reference_seems_to_lose_as_well_is_no_loss_of_the_session(robots, usual):
+    base = ExactBase(robots["mgr"])
+    session = session_of(base, np.random.default_rng(2), moved=Losing(0.06, 2), runs=40)
+    model = SessionLikelihood(base, known_noise(), session)
+    begun = [mechanism_class("gain_change").at({"gain": 1.0}), mechanism_class("command_loss").at({"probability": 0.1})]
+    found = estimate(model, begun)
+    beyond = beyond_usual_loss(model, found, Usual(loss=lambda: usual))
+    *others, lost = beyond.values
+    assert others == list(found.values[:-1])
+    also = min(usual, found.values[-1])
+    assert 1 - found.values[-1] == pytest.approx((1 - also) * (1 - lost))  # neither way
+    assert beyond.mechanisms[-1].probability == lost
+    assert beyond.fitted.total == found.fitted.total
+    spread, before = (np.sqrt(np.diag(one.covariance)) for one in (beyond, found))
+    assert spread[:-1] == pytest.approx(before[:-1])
+    assert spread[-1] == pytest.approx(np.hypot(before[-1], also))
+    alone = estimate(model, begun[:1])
+    assert beyond_usual_loss(model, alone, Usual(loss=lambda: usual)) is alone

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 import torch
-from exact_base import ExactBase, known_noise, session_of
+from exact_base import ExactBase, Losing, known_noise, session_of
 
 from exact_model import ExactDynamics
 from swarmtwin.diagnosis.estimation import estimate, with_uncertain_simulation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import exp_map
 from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics
@@ -70,6 +71,28 @@ def test_values_are_as_uncertain_as_members_disagree(robots, gain):
     alone = SessionLikelihood(ExactBase(robot), known_noise(), session(robot, 3, gain))
     known = estimate(alone, [kind.at({"gain": 1.0})])
     assert with_uncertain_simulation(alone, known) is known
+
+
+@pytest.mark.parametrize("form", [1e-4, 0.14])
+def test_values_are_as_uncertain_where_commands_are_lost(robots, form):
+    """They are by members and by other forms; how many commands are lost is counted, and neither changes that."""
+    rng = np.random.default_rng(5)
+    robot, gains = robots["mgr"], 1 + 0.01 * rng.normal(size=MEMBERS)
+    jackknife = np.sqrt((MEMBERS - 1) / MEMBERS * ((gains - gains.mean()) ** 2).sum())
+    settings = DiagnosisSettings.parse({"estimation": {"form": form}}, "here")
+    losing = Losing(0.05, 3, moved=lambda moment: exp_map(moment.way * 0.9))
+    lossy = session_of(ExactBase(robot), np.random.default_rng(3), moved=losing, runs=40)
+    model = SessionLikelihood(Disagreeing(robot, gains), known_noise(), lossy, settings=settings)
+    begun = [
+        mechanism_class("gain_change").at({"gain": 0.9}),
+        mechanism_class("command_loss").at({"probability": 0.04}),
+    ]
+    found = estimate(model, begun)
+    gained, lost = np.sqrt(np.diag(with_uncertain_simulation(model, found).covariance - found.covariance))
+    by_members = found.values[0] / gains.mean() * jackknife
+    of_form = form * abs(found.values[0] - 1)
+    assert gained == pytest.approx(np.hypot(by_members, of_form), rel=0.1)  # one axis tells nearly all of it
+    assert lost < 0.1 * np.sqrt(found.covariance[1, 1])
 
 
 @pytest.mark.parametrize("base", [Disagreeing, Corrected])

@@ -19,6 +19,7 @@ from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     TrueModelAnswer,
     append_result,
+    parameters_table,
     read_results,
     results_table,
 )
@@ -359,6 +360,7 @@ def test_the_share_of_a_gain_is_of_what_the_effect_brought_whether_or_not_exact_
 @pytest.mark.parametrize(
     ("robot", "causes", "parameter", "limit", "times"),
     [
+        ("mgr", {"actuator_asymmetry": {"ratio": 0.8}}, "ratio", 0.9, 2.0),
         ("mgr", {"gain_change": {"gain": 0.8}}, "gain", 1.1, 2.0),  # to either side of 1
         ("mgr", {"marker_offset": {"forward_mm": 3.0, "left_mm": -4.0}}, "left_mm", 2.0, 2.5),
         ("mgr", {"command_delay": {"delay_s": 0.01}}, "delay_s", None, 0.0),  # none that could be would be named
@@ -371,5 +373,24 @@ def test_an_effect_is_so_many_times_as_large_as_its_limit(robots, robot, causes,
     stated = DetectionLimit(
         cause=next(iter(causes)), parameter=parameter, value=limit, unit="", share_of_range=0.1, rival=None
     )
-    found = times_limit(causes, [stated], robots[robot], conditions_of(robots[robot]))
+    found = times_limit(causes, [stated], robots[robot], conditions_of(robots[robot]), "formulas")
     assert found == (None if times is None else pytest.approx(times))
+
+
+@pytest.mark.parametrize(
+    ("family", "robot", "cause", "said", "is_same"),
+    [
+        ("formulas", "mgr", "actuator_asymmetry", {"ratio": 0.8}, True),
+        ("rigid_body", "mgr", "actuator_asymmetry", {"ratio": 0.8}, False),  # of voltage, told of speed
+        ("rigid_body", "mgr", "gain_change", {"gain": 0.8}, True),
+        ("formulas", "mur", "gain_change", {"gain": 0.8}, False),
+        ("formulas", "mur", "noise_change", {"factor": 2.0}, False),  # of eddies, told of all
+        ("formulas", "mgr", "noise_change", {"factor": 2.0}, True),
+    ],
+)
+def test_what_is_told_in_another_unit_than_it_is_hidden_in_is_not_compared(family, robot, cause, said, is_same):
+    planted = result("one", cause, [cause], family=family, robot=robot)
+    estimates = {name: Estimate(value=value, low=value, high=value, unit="") for name, value in said.items()}
+    causes = (planted.causes[0].model_copy(update={"parameters": estimates}),)
+    planted = planted.model_copy(update={"true_causes": {cause: said}, "causes": causes})
+    assert parameters_table([planted]).same_unit.tolist() == [is_same]

@@ -155,6 +155,31 @@ def test_the_spread_of_a_clock_that_is_never_steady_is_told_as_a_recording_shows
     assert truth.causes["timing_jitter"]["spread"] == pytest.approx(shown, rel=0.05)
 
 
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_a_patch_is_told_where_the_camera_shows_it(robots, robot):
+    """As a camera sees points on its edge: closer to the middle by a scale, and a lens makes it larger or smaller."""
+    robot = robots[robot]
+    patch = {"x_mm": 400.0, "y_mm": 300.0, "radius_mm": 150.0}
+    centre = (robot.arena_mm.low_mm + robot.arena_mm.high_mm) / 2
+
+    def told(*entries):
+        session = StandInSession(robot, ("1",), 1, 10, 0, effects=made_effects(entries, plain))
+        return sessions.as_seen(patch, session)
+
+    plain = StandInSession(robot, ("1",), 1, 10, 0)
+    marker = {"name": "marker_offset", "forward_mm": 20.0, "left_mm": 0.0}
+    assert told() == pytest.approx(patch)
+    assert told(marker) == pytest.approx(patch)
+    scaled = told(marker, {"name": "camera_scale", "scale": 0.9})
+    assert [scaled["x_mm"], scaled["y_mm"]] == pytest.approx(centre + 0.9 * (np.array([400.0, 300.0]) - centre))
+    assert scaled["radius_mm"] == pytest.approx(135.0)
+    bent = told({"name": "lens_distortion", "coefficient": 0.2})
+    assert bent["radius_mm"] > 151
+    assert np.linalg.norm([bent["x_mm"] - centre[0], bent["y_mm"] - centre[1]]) > np.linalg.norm(
+        np.array([400.0, 300.0]) - centre
+    )
+
+
 def z_scores(filmed):
     """How many standard errors, with runs as blocks, residuals against exact means depend on this and that."""
     transitions = filmed.transitions

@@ -11,8 +11,9 @@
    `detection_limits` with `sized_causes` and `random_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from swarmtwin.diagnosis.extension import HeldOutRuns
 from swarmtwin.diagnosis.left_over import Usual, outliers
 from swarmtwin.diagnosis.likelihood import (
     FittedMechanisms,
-    MechanismClass,
     SessionLikelihood,
     loses_commands,
 )
@@ -71,8 +71,8 @@ def diagnose(
     dependences = tests.run(model, model.evaluate([]))
 
     # 3. Causes
-    found = find_causes(reference, model, progress)
     usual = usual_of(reference)
+    found = find_causes(reference, model, usual, progress)
     explained = explanation(model, found, usual)
 
     # 4. Finding
@@ -147,25 +147,14 @@ class DependenceTests:
         return dependence_tests(left, self._of_reference, self._seed, model.settings.dependence, self._discrepancy)
 
 
-def find_causes(reference: Reference, model: SessionLikelihood, progress: Progress | None) -> CausePosterior:
+def find_causes(
+    reference: Reference, model: SessionLikelihood, usual: Usual, progress: Progress | None
+) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
     kinds, session = sought_kinds(model), model.session
     most = reference.settings.search.most_transitions
     part = model if len(session) <= most else reference.likelihood_of(session.where(session.spread_over(most)))
-    return CauseSearch(part, kinds, progress, lambda: usual_loss(reference, kinds)).run()
-
-
-def usual_loss(reference: Reference, kinds: Mapping[str, MechanismClass]) -> float:
-    """Return the share of commands that the reference itself seems to lose: times that are not exact look like that.
-
-    It is none where what the reference gets wrong is a gap as well (no `discrepancy`).
-    """
-    lossy = [kind for kind in kinds.values() if loses_commands([kind])]
-    if reference.discrepancy is None or not lossy:
-        return 0.0
-    own = reference.own_likelihood(reference.settings.search.most_transitions)
-    points = lossy[0].initial_points(own.robot, own.session.conditions)
-    return float(estimate(own, [lossy[0].at(points[0])]).values[0])
+    return CauseSearch(part, kinds, progress, usual.loss).run()
 
 
 def usual_of(reference: Reference) -> Usual:
@@ -182,7 +171,16 @@ def usual_of(reference: Reference) -> Usual:
         model = own()
         return float(outliers(model, model.evaluate([])).mean())
 
-    return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session), outlier_share)
+    @cache
+    def loss() -> float:
+        """Return none where the simulation's errors are a gap as well: times that are not exact look like it."""
+        lossy = [kind for kind in sought_kinds(own()).values() if loses_commands([kind])]
+        if reference.discrepancy is None or not lossy:
+            return 0.0
+        points = lossy[0].initial_points(own().robot, own().session.conditions)
+        return float(estimate(own(), [lossy[0].at(points[0])]).values[0])
+
+    return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session), outlier_share, loss)
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:

@@ -24,8 +24,8 @@ class EstimatedSet:
         naive: (P, P) their covariance if runs were as independent as the likelihood has it, and nothing else unknown.
         evidence: log marginal likelihood, nats: parameters integrated out by Laplace's method, prior uniform in bounds.
         resampled: (P,) standard deviations of the values over resampled runs, where that was looked at.
-        by_member: (P, M) what the simulation's M members, each with its own answers in the place of their mean, would
-            move the values by, as a jackknife has it; M is 0 where that was not looked at.
+        common: (P, M) what is the same in all runs and may move the values, each by a standard deviation: none where
+            that was not looked at.
     """
 
     fitted: FittedMechanisms
@@ -35,7 +35,7 @@ class EstimatedSet:
     naive: np.ndarray
     evidence: float
     resampled: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    by_member: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    common: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def mechanisms(self) -> tuple[Mechanism, ...]:
@@ -51,7 +51,7 @@ class EstimatedSet:
     def covariance(self) -> np.ndarray:
         """Posterior covariance (P, P); wider where runs differ more than the likelihood expects (a sandwich).
 
-        To it adds what the simulation gets wrong for want of data (`by_member`): that is the same in all runs.
+        To it adds what is the same in all runs (`common`).
         """
         posterior = np.linalg.inv(self.information)
         runs = len(self.by_run)
@@ -62,7 +62,11 @@ class EstimatedSet:
         if len(self.resampled):
             wider = np.maximum(wider, self.resampled / np.sqrt(np.diag(posterior)))
         covariance: np.ndarray = posterior * np.outer(wider, wider)
-        return covariance + self.by_member @ self.by_member.T if self.by_member.size else covariance
+        return covariance + self.common @ self.common.T if self.common.size else covariance
+
+    def beyond(self, shift: np.ndarray, moved: np.ndarray) -> "EstimatedSet":
+        """Return it with values `shift` (P,) higher, and (P, M) more of what may move them."""
+        return replace(self, values=self.values + shift, common=np.column_stack([*self.common.T, *moved.T]))
 
     def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Draw (count, P) values from the posterior."""
@@ -103,17 +107,23 @@ def with_uncertain_simulation(model: SessionLikelihood, found: EstimatedSet) -> 
     The simulation was learned from so many runs. Its members have seen different ones, and the values follow what each
     of them answers (the delete-a-group jackknife). How members disagree is a random effect of the session as well, but
     there it takes away only these very directions, and the simulation's own error is another one of their kind: so the
-    values are moved here as if that were not known.
+    values are moved here as if that were not known. Where commands are lost, so they are by other forms of the
+    mechanisms beside that, which are not integrated out there; both are asked of transitions whose commands arrived.
     """
     kinds = found.fitted.kinds
-    if model.members < 2 or not len(found.values) or loses_commands(kinds):
+    lossy = loses_commands(kinds)
+    if not len(found.values) or (model.members < 2 and not lossy):
         return found
     search, directions = _Search(model, kinds), model.disagreement_with(found.mechanisms)
-    slopes = search.slopes(found.values, found.fitted.whitened.ravel())
+    here = model.whitened(found.mechanisms).ravel() if lossy else found.fitted.whitened.ravel()
+    slopes = search.slopes(found.values, here)
+    if lossy:
+        directions = np.column_stack([directions, model.any_forms(found.mechanisms)])
+        slopes = slopes * np.repeat(~found.fitted.is_lost, 3)[:, None]
     gram = model.effects_of_certain_simulation.gram(np.column_stack([slopes, directions]))
     count = len(found.values)
     moved = np.linalg.solve(gram[:count, :count] + search.prior_precision, gram[:count, count:])
-    return replace(found, by_member=moved)
+    return found.beyond(np.zeros(count), moved)
 
 
 class _Search:

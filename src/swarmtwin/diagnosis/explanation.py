@@ -1,7 +1,7 @@
 """Step 3, its end: what the causes of a session explain of what can be explained at all, and what is said of it."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -224,4 +224,24 @@ def _explained_by(
     best = with_uncertain_simulation(refined, estimate(refined, mechanisms, polish=True, final=True))
     gained = best.fitted.total - refined.evaluate([]).total
     noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
-    return Explanation(refined, posterior, best, gained, left_over(refined, best, gained, usual), noise, usual)
+    left = left_over(refined, best, gained, usual)
+    return Explanation(refined, posterior, beyond_usual_loss(refined, best, usual), gained, left, noise, usual)
+
+
+def beyond_usual_loss(model: SessionLikelihood, best: EstimatedSet, usual: Usual) -> EstimatedSet:
+    """Return a set that loses the commands that the session loses beyond those the reference seems to lose as well.
+
+    Times that are not exact, or strokes of a fin that are not known, look like that now and then; how often in the
+    session is known to within as much.
+    """
+    kinds = best.fitted.kinds
+    if not loses_commands(kinds):
+        return best
+    shift, moved = np.zeros(len(best.values)), np.zeros((len(best.values), 1))
+    for index, (number, _, parameter) in enumerate(model.parameters(kinds)):
+        if loses_commands([kinds[number]]):
+            seems, also = best.values[index], min(usual.loss(), best.values[index])
+            shift[index] = max((seems - also) / (1 - also), parameter.low) - seems
+            moved[index] = also
+    beyond = best.beyond(shift, moved)
+    return replace(beyond, fitted=replace(best.fitted, mechanisms=tuple(model.assembled(kinds, beyond.values))))

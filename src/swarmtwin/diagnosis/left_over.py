@@ -24,12 +24,14 @@ class Usual(NamedTuple):
         history_nats: nats a transition that its own errors gain by those before them.
         transitions: how many these nats are known from.
         outliers: the share of its own transitions with a large error.
+        loss: the share of commands that it seems to lose.
     """
 
     noise_log: Callable[[], float] = float
     history_nats: Callable[[], float] = float
     transitions: Callable[[], int] = lambda: 1
     outliers: Callable[[], float] = float
+    loss: Callable[[], float] = float
 
 
 class LeftOver(NamedTuple):

@@ -199,8 +199,13 @@ class SessionLikelihood(SessionErrors):
 
         There they are larger: an interval must hold the truth, while a cause must not be taken for another one's form.
         """
-        forms = self._forms(mechanisms) * (self.settings.estimation.form / self.settings.likelihood.form)
-        return self.effects.extended(self._whitened(forms)) if forms.shape[-1] else self.effects
+        forms = self.any_forms(mechanisms)
+        return self.effects.extended(forms) if forms.shape[-1] else self.effects
+
+    def any_forms(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+        """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
+        larger = self.settings.estimation.form / self.settings.likelihood.form
+        return self._whitened(self._forms(mechanisms) * larger)
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""

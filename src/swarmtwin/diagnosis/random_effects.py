@@ -259,7 +259,7 @@ def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Itera
         change = now - model.errors(others)
         if not change.any():
             continue
-        is_rough = is_thrust and one.says_when and one.stage == "actuators"
+        is_rough = is_thrust and one.says_when
         share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
         for function in functions[:, 1:].T:
             yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)

@@ -168,9 +168,11 @@ def _row_of_true_model(result: Result) -> dict[str, Any]:
     }
 
 
-def is_another_unit(robot: str, parameter: str) -> bool:
+def is_another_unit(family: str, robot: str, parameter: str) -> bool:
     """Return whether a parameter is told in another unit than it is hidden in: see `parameters_table`."""
-    return robot in THRUST_ROBOTS and parameter in ("gain", "loss")
+    if robot in THRUST_ROBOTS:
+        return parameter in ("gain", "loss", "factor")
+    return family == "rigid_body" and parameter == "ratio"
 
 
 def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
@@ -181,7 +183,9 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     `covered` says whether the 95 % interval holds the true value; `same_unit` whether what is said and what is hidden
     are the same quantity at all. They are not where a fin or a propeller is weaker: a diagnosis says what share of the
     speed ahead is left, a stand-in hides a share of the thrust or of its command, and only its physics tell the one of
-    the other.
+    the other. Nor are they where the eddies about a fin are stronger, beside which its strokes make motion random as
+    before, nor where one motor of the rigid body has less voltage, of which its bearings' friction takes as much as
+    before: a diagnosis says how random the motion is, and how fast a wheel turns.
     """
     table = _with_errors([row for result in results for row in _parameters(result)], list(Estimate.model_fields))
     table["covered"] = table.true.between(table.low, table.high)
@@ -209,8 +213,8 @@ def _with_errors(rows: list[dict[str, Any]], said: list[str]) -> pd.DataFrame:
     table["error"] = (table.value - true).abs()
     table["error_percent"] = 100 * (table.error / true.abs()).where(has_size)
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
-    both = zip(table.robot, table["name"], strict=True)
-    table["same_unit"] = np.array([not is_another_unit(robot, name) for robot, name in both], bool)
+    about = zip(table.family, table.robot, table["name"], strict=True)
+    table["same_unit"] = np.array([not is_another_unit(*one) for one in about], bool)
     return table
 
 

@@ -25,6 +25,7 @@ from swarmtwin.studies.hidden_effects.held_out_gain import ONLY_RANDOM, Displace
 from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
 from swarmtwin.studies.hidden_effects.results import Baselines, Result, is_another_unit
 from swarmtwin.studies.hidden_effects.sessions import Truth, record_session
+from swarmtwin.studies.stand_in_families import Family
 from swarmtwin.transitions import from_recording
 
 
@@ -85,7 +86,7 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Resul
             "causes": said.causes,
             "depends_on": said.depends_on,
             "gained": held_out_gain(known, twin, extended, held_out),
-            "times_limit": times_limit(truth.causes, said.detection_limits, transitions.robot, conditions),
+            "times_limit": times_limit(truth.causes, said.detection_limits, transitions.robot, conditions, case.family),
             "baselines": baselines,
             "seconds": diagnosis.seconds,
             "learning_seconds": diagnosis.learning_seconds,
@@ -119,13 +120,14 @@ def times_limit(
     limits: Sequence[DetectionLimit],
     robot: Robot,
     conditions: SessionConditions,
+    family: Family,
 ) -> float | None:
     """Return the size of a single cause over its detection limit in a session: see `Result.times_limit`."""
     if len(causes) != 1:
         return None
     name, true = next(iter(causes.items()))
     limit = next((one for one in limits if one.cause == name), None)
-    if limit is None or limit.parameter not in true or is_another_unit(robot.name, limit.parameter):
+    if limit is None or limit.parameter not in true or is_another_unit(family, robot.name, limit.parameter):
         return None
     if limit.value is None:
         return 0.0

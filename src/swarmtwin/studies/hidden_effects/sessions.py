@@ -1,6 +1,7 @@
 """The recordings of a case, and what only its stand-in knows: what hides, its clean twin, the least error there is."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from swarmtwin.configuration import config_folder
 from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
+from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.effect import Effect
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.exact_means import mean_given_state
@@ -81,7 +83,8 @@ class Truth:
     def causes(self) -> dict[str, dict[str, float]]:
         """The causes that are to be named, with their parameters; none where the catalogue has no name.
 
-        A clock that is never steady shows its usual spread and what was hidden together.
+        A clock that is never steady shows its usual spread and what was hidden together; where a patch is, is told as
+        the camera shows it.
         """
         if self.case.kind == "outside":
             return {}
@@ -89,7 +92,20 @@ class Truth:
         if "timing_jitter" in causes:
             usual = self.measured.footage.session.conditions.character.jitter
             causes["timing_jitter"]["spread"] = math.hypot(causes["timing_jitter"]["spread"], usual)
+        if "surface_patch" in causes:
+            causes["surface_patch"] |= as_seen(causes["surface_patch"], self.measured.footage.session)
         return causes
+
+
+def as_seen(patch: Mapping[str, float], session: StandInSession, points: int = 32) -> dict[str, float]:
+    """Return where a patch of the floor is, as a session's camera shows it, with the mean distance of its edge."""
+    shown = [effect for effect in session.effects if type(effect).magnification is not Effect.magnification]
+    centre, angle = np.array([patch["x_mm"], patch["y_mm"]]), np.linspace(0, 2 * np.pi, points, endpoint=False)
+    edge = centre + patch["radius_mm"] * np.column_stack([np.cos(angle), np.sin(angle)])
+    places = np.column_stack([np.vstack([centre, edge]), np.zeros(1 + points)])
+    seen = ActiveEffects(session.robot, shown).seen(places)[:, :2]
+    radius_mm = float(np.linalg.norm(seen[1:] - seen[0], axis=1).mean())
+    return {"x_mm": float(seen[0, 0]), "y_mm": float(seen[0, 1]), "radius_mm": radius_mm}
 
 
 class RecordedSession(NamedTuple):
