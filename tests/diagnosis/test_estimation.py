@@ -11,6 +11,7 @@ from scipy import stats
 from exact_model import MM_PER_PWM, TRACK_MM, conditions_of
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.geometry import compose, displacement_between, exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
@@ -301,3 +302,26 @@ def test_the_error_of_a_gain_is_that_of_least_squares_and_of_the_form_that_nobod
     left, right = (MM_PER_PWM * session.situation.command).numpy().T
     information = (((left + right) / 2) ** 2).sum() + (((right - left) / TRACK_MM / 0.02) ** 2).sum()
     assert float(known.covariance[0, 0]) == pytest.approx(1 / information, rel=0.35)
+
+
+@pytest.mark.parametrize("lossy", [False, True])
+def test_vehicles_in_contact_say_nothing_of_how_one_goes(robots, lossy):
+    """Nearer than half a width, centre to centre; a vehicle next to another does count."""
+    base = ExactBase(robots["mgr"])
+    session = session_of(base, np.random.default_rng(4), runs=10)
+    close = np.arange(len(session)) % 7 == 3
+    mechanisms = [mechanism_class("command_loss").at({"probability": 0.02})] if lossy else []
+
+    def change(width_share):
+        """Likelihoods where vehicles that are so close go as all do, and where they are pushed ahead."""
+        away_mm = np.where(close, width_share * min(base.robot.vehicle_size_mm), 400.0)
+        neighbours = np.stack([away_mm, np.zeros(len(session)), np.zeros(len(session))], axis=-1)[:, None]
+        plain = replace(session.transitions, neighbours=neighbours)
+        pushed = replace(plain, displacement=plain.displacement + 8 * close[:, None] * np.array([1.0, 0.0, 0.0]))
+        measured = (MeasuredSession.of(transitions, session.conditions) for transitions in (plain, pushed))
+        return [SessionLikelihood(base, known_noise(), one).evaluate(mechanisms) for one in measured]
+
+    contact, apart = change(0.4), change(0.6)
+    assert (contact[1].log_likelihood[close] == 0).all()
+    lost_nats = [before.total - after.total for before, after in (contact, apart)]
+    assert abs(lost_nats[0]) < 0.1 * lost_nats[1]

@@ -107,23 +107,31 @@ def with_uncertain_simulation(model: SessionLikelihood, found: EstimatedSet) -> 
     The simulation was learned from so many runs. Its members have seen different ones, and the values follow what each
     of them answers (the delete-a-group jackknife). How members disagree is a random effect of the session as well, but
     there it takes away only these very directions, and the simulation's own error is another one of their kind: so the
-    values are moved here as if that were not known. Where commands are lost, so they are by other forms of the
-    mechanisms beside that, which are not integrated out there; both are asked of transitions whose commands arrived.
+    values are moved here as if that were not known. Where commands are lost, other forms of the mechanisms beside that
+    are not integrated out: to these values adds what they are less known for them. Both is asked of the transitions
+    whose commands arrived.
     """
-    kinds = found.fitted.kinds
-    lossy = loses_commands(kinds)
+    lossy = loses_commands(found.fitted.kinds)
     if not len(found.values) or (model.members < 2 and not lossy):
         return found
-    search, directions = _Search(model, kinds), model.disagreement_with(found.mechanisms)
+    search, count = _Search(model, found.fitted.kinds), len(found.values)
     here = model.whitened(found.mechanisms).ravel() if lossy else found.fitted.whitened.ravel()
-    slopes = search.slopes(found.values, here)
+    arrived = np.repeat(~found.fitted.is_lost, 3)[:, None]
+    slopes = arrived * search.slopes(found.values, here)
+    moved = []
+    if model.members >= 2:
+        together = np.column_stack([slopes, model.disagreement_with(found.mechanisms)])
+        gram = model.effects_of_certain_simulation.gram(together)
+        moved.append(np.linalg.solve(gram[:count, :count] + search.prior_precision, gram[:count, count:]))
     if lossy:
-        directions = np.column_stack([directions, model.any_forms(found.mechanisms)])
-        slopes = slopes * np.repeat(~found.fitted.is_lost, 3)[:, None]
-    gram = model.effects_of_certain_simulation.gram(np.column_stack([slopes, directions]))
-    count = len(found.values)
-    moved = np.linalg.solve(gram[:count, :count] + search.prior_precision, gram[:count, count:])
-    return found.beyond(np.zeros(count), moved)
+        forms = arrived * model.any_forms(found.mechanisms)
+        known, unknown = (
+            np.linalg.inv(effects.gram(slopes) + search.prior_precision)
+            for effects in (model.effects, model.effects.extended(forms))
+        )
+        more, axes = np.linalg.eigh(unknown - known)
+        moved.append(axes * np.sqrt(np.maximum(more, 0.0)))
+    return found.beyond(np.zeros(count), np.column_stack(moved))
 
 
 class _Search:

@@ -37,7 +37,7 @@ class FittedMechanisms:
 
     Attributes:
         mechanisms: with their values.
-        log_likelihood: (N,) of each transition, nats, random effects at their likeliest.
+        log_likelihood: (N,) of each transition, nats, random effects at their likeliest; 0 of vehicles in contact.
         whitened: (N, 3) errors, independent and of unit variance where nothing is wrong.
         residual: (N, 3) the same, freed of random effects.
         scale: (3,) how much wider these spread than the reference's.
@@ -266,7 +266,7 @@ class SessionLikelihood(SessionErrors):
             residual = whitened - shift
             scale = self._scale(residual)
             density = lost.log_density(shift, scale)
-        log_likelihood = density - volume - np.log(scale).sum()
+        log_likelihood = np.where(self.in_contact, 0.0, density - volume - np.log(scale).sum())
         penalty = float(sizes @ sizes) / 2 + self._scale_penalty(scale)
         effect_errors = self.filter.inverse(shift)
         return FittedMechanisms(
@@ -281,10 +281,12 @@ class SessionLikelihood(SessionErrors):
         left = self.errors_left(mechanisms) - self.evaluate(mechanisms).effect_errors
         scales = replace(self.noise_scales, motion=factor**2)
         prepared = self.reference_noise.scaled(scales).filter(self.motion, self.session)
-        return log_density(prepared(left[..., None])[..., 0], self.noise.degrees_of_freedom) - prepared.log_volume
+        density = log_density(prepared(left[..., None])[..., 0], self.noise.degrees_of_freedom) - prepared.log_volume
+        return np.where(self.in_contact, 0.0, density)
 
     def _scale(self, residual: np.ndarray, rounds: int = 5) -> np.ndarray:
         """Return (3,) the likeliest spread of residuals (N, 3), with its prior."""
+        residual = residual[~self.in_contact]
         count, spread = len(residual), self.settings.noise.set_scale_spread
         squared, scale2 = residual**2, np.ones(3)
         freedom = self.noise.degrees_of_freedom

@@ -143,9 +143,20 @@ class SessionErrors:
 
     @cached_property
     def weight(self) -> np.ndarray:
-        """(N,) how much each transition counts in least squares: outliers little."""
+        """(N,) how much each transition counts in least squares: outliers little, vehicles in contact not at all."""
         left = self.filter((self._plain_errors - self.expected_errors)[..., None])[..., 0]
-        return tail_weights(left, self.noise.degrees_of_freedom)
+        return np.where(self.in_contact, 0.0, tail_weights(left, self.noise.degrees_of_freedom))
+
+    @cached_property
+    def in_contact(self) -> np.ndarray:
+        """(N,) whether a vehicle begins nearer to another than half its width, centre to centre.
+
+        Such vehicles go on together: how one goes then hangs on what chance does to the other, which a model of one
+        vehicle's period does not know.
+        """
+        away_mm = np.linalg.norm(self.session.transitions.neighbours[..., :2], axis=-1)
+        nearer: np.ndarray = (away_mm < min(self.robot.vehicle_size_mm) / 2).any(axis=1)
+        return nearer
 
     @cached_property
     def regressions(self) -> FlexibleRegressions:
