@@ -257,3 +257,40 @@ def test_an_extended_simulation_is_not_diagnosed_again(drives, diagnosed, tmp_pa
     call("diagnose", "robot=mgr", *given, f"output={tmp_path / 'out'}", expected=2)
     assert "diagnose the one that it extends" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+LATE = "effects=[{name: command_delay, delay_s: 0.15}]"
+
+
+@pytest.mark.parametrize(("effect", "named"), [(LATE, set()), (SAG, {"battery_sag", "gain_change"})])
+def test_what_the_reference_has_as_well_is_no_gap_but_for_what_no_simulation_knows(drives, tmp_path, effect, named):
+    """A simulation knows no age: one learned of an ageing robot is an average, and the session departs from that."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Physics, "bank_rows", 4096)
+        for number, name in enumerate(("reference", "measured")):
+            output = f"output={tmp_path / name}"
+            call("record", "robot=mgr", "steps=30", "runs=40", f"seed={7 + number}", effect, output)
+    output, given = tmp_path / "out", (f"reference={tmp_path / 'reference'}", f"measured={tmp_path / 'measured'}")
+    call("diagnose", "robot=mgr", *given, *QUICK, "register=false", "pictures=false", f"output={output}")
+    result = read_result(output)
+    assert result.verdict == ("explained" if named else "no_gap")
+    assert {cause.name for cause in result.causes} == named
+    for cause in result.causes:
+        if cause.name == "battery_sag":
+            assert cause.parameters["loss"].low < 0.35 < cause.parameters["loss"].high
+
+
+def test_a_clock_that_was_never_set_changes_nothing(drives, diagnosed, tmp_path):
+    """A battery ages from the session's beginning on, whatever the clock shows then."""
+    late = tmp_path / "late"
+    shutil.copytree(drives / "sag", late)
+    for file in (late / "runs").glob("*.csv"):
+        rows = pd.read_csv(file)
+        rows["time_s"] += 1_732_000_000.0
+        rows.to_csv(file, index=False)
+    output, given = tmp_path / "out", (f"reference={drives / 'reference'}", f"measured={late}")
+    call("diagnose", "robot=mgr", *given, *QUICK, "register=false", "pictures=false", f"output={output}")
+    found, expected = read_result(output), read_result(diagnosed)
+    assert [cause.name for cause in found.causes] == [cause.name for cause in expected.causes]
+    loss, on_time = (one.causes[0].parameters["loss"].value for one in (found, expected))
+    assert loss == pytest.approx(on_time, rel=1e-3)

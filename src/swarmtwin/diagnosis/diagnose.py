@@ -11,6 +11,7 @@
    `detection_limits` with `sized_causes` and `random_limits`, `next_recording`, `result`; pictures in `report/`).
 """
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -40,6 +41,8 @@ from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation import Simulation
 
+logger = logging.getLogger(__name__)
+
 
 def diagnose(
     reference: Reference, measured: Recording, seed: int, progress: Progress | None = None
@@ -48,8 +51,7 @@ def diagnose(
 
     Args:
         reference: the simulation, its noise, and the settings of the diagnosis.
-        measured: the recording in question; nothing but its runs is looked at. Of fewer than 40, long ones are cut
-            into blocks, which stand for runs: in what is held out, in intervals, in what the result says.
+        measured: the recording in question; nothing but its runs is looked at: see `compared`.
         seed: of everything random.
         progress: called with what is being done, and how far it is.
 
@@ -59,7 +61,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
 
     # 1. Reference and residual
-    measured = replace(measured, tracks=in_blocks(measured.tracks, fewest=40))
+    measured, left_out = compared(measured, reference.settings.reference.most_measured)
     session, believable, set_aside = reference.comparable(measured)
     runs = HeldOutRuns(reference, session, measured, believable, seed)
     held_out = runs.rows
@@ -98,7 +100,7 @@ def diagnose(
         robot=reference.robot.name,
         vehicles=tuple(session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle)),
         runs={"fitted": model.session.runs, "held_out": len(np.unique(runs.scored.run))},
-        transitions={"used": len(session), "set_aside": set_aside},
+        transitions={"used": len(session), "set_aside": set_aside} | ({"left_out": left_out} if left_out else {}),
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
         units=unit_differences(explained.model, () if objection else explained.mechanisms),
@@ -122,6 +124,41 @@ def diagnose(
         runs_before=runs.errors.open_loop,
         runs_after=judged.errors.open_loop,
         next_drive=drive,
+    )
+
+
+def compared(measured: Recording, most_rows: int, fewest: int = 40) -> tuple[Recording, int]:
+    """Return what of a recording is compared, and how many rows are left out since there are more than `most_rows`.
+
+    Of fewer than `fewest` runs, long ones are cut into blocks, which stand for runs: in what is held out, in intervals,
+    in what the result says. What is left of a longer recording lies all over it. A clock that shows more than ten times
+    the session's length when that begins was not set for it: times then count from the first one.
+    """
+    measured = _with_clock_set(measured)
+    rows = sum(map(len, measured.tracks))
+    every = max(1, -(-rows // most_rows))
+    parts = replace(measured, tracks=in_blocks(measured.tracks, fewest=fewest * every, blocks=fewest * every))
+    if every == 1:
+        return parts, 0
+    taken = set(parts.runs[::every])
+    parts = parts.where(lambda track: track.run in taken)
+    left_out = rows - sum(map(len, parts.tracks))
+    logger.info("%d of %d measured rows are compared, of runs or blocks all over the recording", rows - left_out, rows)
+    return parts, left_out
+
+
+def _with_clock_set(measured: Recording, most_lengths: float = 10.0) -> Recording:
+    """Return a recording whose times count from its first one, where its clock was not set when it began."""
+    if not measured.tracks:
+        return measured
+    began_s = min(float(track.time_s[0]) for track in measured.tracks)
+    length_s = max(float(track.time_s[-1]) for track in measured.tracks) - began_s
+    if abs(began_s) <= most_lengths * length_s:
+        return measured
+    logger.info("the session's clock begins at %.0f s: times count from then on", began_s)
+    sent = measured.sent and {vehicle: (at_s - began_s, sent) for vehicle, (at_s, sent) in measured.sent.items()}
+    return replace(
+        measured, tracks=tuple(replace(track, time_s=track.time_s - began_s) for track in measured.tracks), sent=sent
     )
 
 

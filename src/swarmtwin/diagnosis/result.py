@@ -206,7 +206,8 @@ class DiagnosisResult(StrictModel):
         robot: its name.
         vehicles: ids of the measured vehicles.
         runs: measured runs: fitted to, held out.
-        transitions: measured transitions: used, set aside because the reference never saw such commands.
+        transitions: measured transitions: used, set aside because the reference never saw such commands; rows left out
+            of a recording that is longer than what is compared.
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
         not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named. Null
             where they do, or where there is none.

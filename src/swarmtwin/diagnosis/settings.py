@@ -28,6 +28,8 @@ class ReferenceSettings(StrictModel):
         coverage_share: or as far as this share of its own commands are from each other.
         most_transitions: that its noise and its errors are learned from; of a longer reference every second, third, …
             run. The simulation is learned from all.
+        most_measured: rows of a measured recording that are compared; of a longer one every second, third, … run or
+            block of a run.
         overlap_neighbours: reference transitions that each measured one counts for, when the reference is weighted to
             stand for what it would show if it were driven as the session was.
     """
@@ -39,6 +41,7 @@ class ReferenceSettings(StrictModel):
     coverage_distance: Positive = 4.0
     coverage_share: Share = 0.99
     most_transitions: Count = 12000
+    most_measured: Count = 100_000
     overlap_neighbours: Count = 5
 
 
