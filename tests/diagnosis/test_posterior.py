@@ -241,3 +241,11 @@ def test_outliers_of_which_the_reference_has_fewer_are_neither_lost_commands_nor
     expected = is_explained or cause == "gain_change"  # that moves the mean: outliers say nothing of it
     assert explained.verdict == ("explained" if expected else "unexplained")
     assert explained.names_motion_noise is (expected and cause == "noise_change")
+
+
+@pytest.mark.parametrize(("beyond", "verdict"), [(5.0, "no_gap"), (50.0, "explained")])
+def test_causes_that_the_reference_shows_as_well_are_not_named(robots, beyond, verdict):
+    left = LeftOver(0.0, 0.0, beyond_reference=beyond)
+    posterior = posterior_of(gain_change=(40.0, 1))
+    explained = explanation_of(robots["mgr"], {"gain_change": GAIN_SURE}, posterior, gained=40.0, left=left)
+    assert explained.verdict == verdict

@@ -210,14 +210,20 @@ def usual_of(reference: Reference) -> Usual:
 
     @cache
     def loss() -> float:
-        """Return none where the simulation's errors are a gap as well: times that are not exact look like it."""
+        """Return the share of commands that seem to be lost; none where the simulation's errors are a gap as well."""
         lossy = [kind for kind in sought_kinds(own()).values() if loses_commands([kind])]
         if reference.discrepancy is None or not lossy:
             return 0.0
         points = lossy[0].initial_points(own().robot, own().session.conditions)
         return float(estimate(own(), [lossy[0].at(points[0])]).values[0])
 
-    return Usual(lambda: own().motion_noise_log()[0], history_nats, lambda: len(own().session), outlier_share, loss)
+    def shown() -> SessionLikelihood | None:
+        return None if reference.discrepancy is None else own()
+
+    def count() -> int:
+        return len(own().session)
+
+    return Usual(lambda: own().motion_noise_log()[0], history_nats, count, outlier_share, loss, shown)
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:

@@ -59,8 +59,12 @@ class Explanation:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether the causes gain no more than they may where nothing but the simulation is uncertain, at most."""
-        return self.gained <= self.left.most_by_chance
+        """Whether the causes gain no more than they may where nothing but the simulation is uncertain, at most.
+
+        Or hardly more than the reference itself shows of them, where that was asked.
+        """
+        hardly_more = self.left.beyond_reference <= self.model.settings.verdict.alarm_nats
+        return hardly_more or self.gained <= self.left.most_by_chance
 
     @property
     def may_be_chance(self) -> bool:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
+from swarmtwin.diagnosis.beyond_reference import nats_beyond_reference
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimation import EstimatedSet
 from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
@@ -25,6 +26,7 @@ class Usual(NamedTuple):
         transitions: how many these nats are known from.
         outliers: the share of its own transitions with a large error.
         loss: the share of commands that it seems to lose.
+        own: how likely its own transitions are by what has not seen them; None: not known.
     """
 
     noise_log: Callable[[], float] = float
@@ -32,6 +34,7 @@ class Usual(NamedTuple):
     transitions: Callable[[], int] = lambda: 1
     outliers: Callable[[], float] = float
     loss: Callable[[], float] = float
+    own: Callable[[], SessionLikelihood | None] = lambda: None
 
 
 class LeftOver(NamedTuple):
@@ -45,6 +48,7 @@ class LeftOver(NamedTuple):
         most_lasting_uncertainty: that the second one may gain so at most.
         most_by_chance: that the causes may gain by it at most: each as much as the likeliest one alone, and all
             together no more than the first regression.
+        beyond_reference: by which the session tells more of the causes than the reference, driven alike.
     """
 
     by_situation: float
@@ -53,6 +57,7 @@ class LeftOver(NamedTuple):
     most_uncertainty: float = 0.0
     most_lasting_uncertainty: float = 0.0
     most_by_chance: float = 0.0
+    beyond_reference: float = math.inf
 
     @property
     def nats(self) -> float:
@@ -75,11 +80,13 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
     usual_nats, ratio = usual.history_nats() * len(model.session), len(model.session) / usual.transitions()
     # half a squared normal variate, nearly: its standard error is the root of twice as many
     usual_nats += settings.uncertainty_spreads * math.sqrt(2 * usual_nats * (1 + ratio))
-    by_chance = float(most[0])
+    by_chance, beyond = float(most[0]), math.inf
     if 0 < gained <= by_chance:  # a catalogue follows less of the simulation's error than a regression does
         single = nats_by_chance(model, fitted.residual, settings.chance_draws)
         most_single = float(single.mean() + settings.uncertainty_spreads * single.std())
         by_chance = min(by_chance, len(best.names) * most_single)
+        if arriving(best.mechanisms) and (own := usual.own()):
+            beyond = nats_beyond_reference(model, own, best.mechanisms)
     return LeftOver(
         by_situation,
         by_history - usual_nats,
@@ -87,6 +94,7 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
         float(most[0]),
         float(most[1]),
         by_chance,
+        beyond,
     )
 
 

@@ -286,7 +286,7 @@ class SessionLikelihood(SessionErrors):
 
     def _scale(self, residual: np.ndarray, rounds: int = 5) -> np.ndarray:
         """Return (3,) the likeliest spread of residuals (N, 3), with its prior."""
-        residual = residual[~self.in_contact]
+        residual = residual if self.in_contact.all() else residual[~self.in_contact]
         count, spread = len(residual), self.settings.noise.set_scale_spread
         squared, scale2 = residual**2, np.ones(3)
         freedom = self.noise.degrees_of_freedom
