@@ -51,23 +51,22 @@ def _spread_evenly(transitions: TransitionSource, most: int) -> tuple[np.ndarray
     return np.concatenate(command), np.concatenate(moved)
 
 
-def _draw_runs(panel: Axes, transitions: TransitionSource, most: int, most_poses: int = 100_000) -> None:
-    """Draw the ways of the first runs, of long ones every second, third … pose."""
-    lengths = sum(
-        (np.bincount(block["run"], minlength=len(transitions.runs)) for block in transitions.blocks(("run",))),
-        start=np.zeros(len(transitions.runs), dtype=int),
-    )
-    drawn = np.flatnonzero(lengths)[:most]
-    every = max(1, -(-int(lengths[drawn].sum()) // most_poses))
-    parts: dict[str, list[np.ndarray]] = {"run": [], "vehicle": [], "pose": []}
-    for block in transitions.blocks(tuple(parts)):
-        rows = np.flatnonzero(np.isin(block["run"], drawn))[::every]
-        for name, part in parts.items():
-            part.append(block[name][rows])
-    some = {name: np.concatenate(part) for name, part in parts.items()}
-    for run in drawn:
-        for vehicle in np.unique(some["vehicle"][some["run"] == run]):
-            pose = some["pose"][(some["run"] == run) & (some["vehicle"] == vehicle)]
+def _draw_runs(panel: Axes, transitions: TransitionSource, most: int, most_poses: int = 200) -> None:
+    """Draw the ways of the first runs, of long ones how they begin."""
+    ways: dict[tuple[int, int], np.ndarray] = {}
+    runs: list[int] = []
+    for block in transitions.blocks(("run", "vehicle", "pose")):
+        runs = np.unique(np.append(runs, block["run"])).astype(int)[:most].tolist()
+        for run in np.intersect1d(runs, block["run"]):
+            for vehicle in np.unique(block["vehicle"][block["run"] == run]):
+                pose = block["pose"][(block["run"] == run) & (block["vehicle"] == vehicle)]
+                before = ways.get((run, vehicle), pose[:0])
+                ways[run, vehicle] = np.concatenate([before, pose])[:most_poses]
+    for (run, _), pose in ways.items():
+        if run in runs:
             panel.plot(pose[:, 0], pose[:, 1], color=MEASURED, linewidth=0.6, alpha=0.6)
-    panel.set(title=f"the first {min(most, len(transitions.runs))} runs", xlabel="x, mm", ylabel="y, mm")
+    which = (
+        "how the first {} runs begin" if any(len(pose) == most_poses for pose in ways.values()) else "the first {} runs"
+    )
+    panel.set(title=which.format(min(most, len(transitions.runs))), xlabel="x, mm", ylabel="y, mm")
     panel.set_aspect("equal")
