@@ -23,14 +23,16 @@ def nats_beyond_reference(model: SessionLikelihood, own: SessionLikelihood, mech
         mechanisms: with their values.
     """
     present = arriving(mechanisms)
-    change = (model.whitened(present) - model.whitened([])).ravel()
-    along, side = model.effects.least_squares(change[:, None], model.whitened([]).ravel())
+    errors = model.whitened([])
+    change = (model.whitened(present) - errors).ravel()
+    along, side = model.effects.least_squares(change[:, None], errors.ravel())
     nearest = model.settings.reference.overlap_neighbours
     weight = np.repeat(own.weight * model.session.covariate_overlap(own.session, nearest), 3)
-    change = (own.whitened(present) - own.whitened([])).ravel()
+    own_errors = own.whitened([])
+    change = (own.whitened(present) - own_errors).ravel()
     own_along = float(weight @ change**2)
     if along[0, 0] <= 1e-9 or own_along <= 1e-9:
         return np.inf
-    shares = -float(side[0]) / along[0, 0], -float(weight @ (change * own.whitened([]).ravel())) / own_along
+    shares = -float(side[0]) / along[0, 0], -float(weight @ (change * own_errors.ravel())) / own_along
     variance = 1 / along[0, 0] + float(weight**2 @ change**2) / own_along**2
     return float((shares[0] - shares[1]) ** 2 / variance / 2)
