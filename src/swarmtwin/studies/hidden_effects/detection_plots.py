@@ -98,8 +98,8 @@ def detection_figure(results: pd.DataFrame) -> Figure:
 
 
 def parameters_figure(parameters: pd.DataFrame) -> Figure:
-    """Draw each parameter's relative errors, a dot a session; those outside their interval in red."""
-    sized = parameters[parameters.error_percent.notna()]
+    """Draw relative errors of each parameter that is told in the unit it is hidden in, red where outside its interval."""
+    sized = parameters[parameters.error_percent.notna() & parameters.same_unit]
     groups = list(sized.groupby(sized.cause + ": " + sized.name))
     with style():
         figure = Figure(figsize=(7, 0.24 * len(groups) + 1.6), layout="constrained")
