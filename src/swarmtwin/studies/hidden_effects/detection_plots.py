@@ -98,7 +98,7 @@ def detection_figure(results: pd.DataFrame) -> Figure:
 
 
 def parameters_figure(parameters: pd.DataFrame) -> Figure:
-    """Draw relative errors of each parameter that is told in the unit it is hidden in, red where outside its interval."""
+    """Draw relative errors of parameters told in the unit they are hidden in, red where outside their interval."""
     sized = parameters[parameters.error_percent.notna() & parameters.same_unit]
     groups = list(sized.groupby(sized.cause + ": " + sized.name))
     with style():
