@@ -9,6 +9,7 @@ from torch import Tensor
 from exact_model import ExactDynamics, conditions_of
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
 from swarmtwin.transitions import Transitions
 
@@ -141,3 +142,10 @@ def known_noise(spread=SPREAD):
     """The noise of `steady_spread`, as it is, of a camera that measures exactly."""
     growth = np.column_stack([np.array(spread) ** 2, np.zeros((3, 2))])
     return Noise(np.array([20.0, 0.5]), growth, 0.0, np.zeros(3), None)
+
+
+def errors_showing(**answers: float) -> ReferenceErrors:
+    """The errors of a reference of which some answers are known."""
+    errors = ReferenceErrors()
+    vars(errors).update(answers)  # where they are kept, once asked
+    return errors

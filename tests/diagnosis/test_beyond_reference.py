@@ -6,8 +6,9 @@ from exact_base import ExactBase, Losing, known_noise, session_of
 
 from swarmtwin.diagnosis.beyond_reference import nats_beyond_reference
 from swarmtwin.diagnosis.estimation import estimate
-from swarmtwin.diagnosis.left_over import Usual, left_over
+from swarmtwin.diagnosis.left_over import left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.geometry import exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -44,13 +45,20 @@ def test_what_changes_nothing_is_no_error_of_the_reference(robots):
     assert nats_beyond_reference(session, own, [mechanism_class("gain_change").at({"gain": 1.0})]) == np.inf
 
 
+class NeverGranted(ReferenceErrors):
+    """Errors of a reference that nobody may ask for."""
+
+    @property
+    def granted(self):
+        """Fail."""
+        raise AssertionError("the reference was asked")
+
+
 def test_it_is_asked_only_where_causes_gain_little_and_move_vehicles(robots):
-    robot, asked = robots["mgr"], []
-    usual = Usual(own=lambda: asked.append(1))
+    robot, own = robots["mgr"], NeverGranted()
     clear = driven(robot, 3, 1.3)
     found = estimate(clear, FASTER)
-    assert left_over(clear, found, found.fitted.total - clear.evaluate([]).total, usual).beyond_reference == np.inf
+    assert left_over(clear, found, found.fitted.total - clear.evaluate([]).total, own).beyond_reference == np.inf
     lossy = driven(robot, 4, 1.0, moved=Losing(0.1, 4))
     lost = estimate(lossy, [mechanism_class("command_loss").at({"probability": 0.1})])
-    assert left_over(lossy, lost, 1.0, usual).beyond_reference == np.inf
-    assert not asked
+    assert left_over(lossy, lost, 1.0, own).beyond_reference == np.inf

@@ -9,9 +9,10 @@ from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
-from swarmtwin.diagnosis.left_over import Usual, left_over, nats_of_uncertainty
+from swarmtwin.diagnosis.left_over import left_over, nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.diagnosis.screening import sought_kinds
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import exp_map
@@ -140,6 +141,6 @@ def test_ground_on_which_vehicles_go_farther_along_than_across_is_seen(robots):
     for name, moved in (("brushed", brushed), ("even", as_simulated)):
         session = session_of(ExactBase(robots["mgr"]), np.random.default_rng(8), moved)
         model = SessionLikelihood(ExactBase(robots["mgr"]), known_noise(), session)
-        found[name] = left_over(model, estimate(model, []), 0.0, Usual()).by_situation
+        found[name] = left_over(model, estimate(model, []), 0.0, ReferenceErrors()).by_situation
     assert found["brushed"] > 40
     assert found["even"] < 5

@@ -4,11 +4,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from exact_base import ExactBase, Losing, known_noise, session_of
+from exact_base import ExactBase, Losing, errors_showing, known_noise, session_of
 
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import beyond_usual_loss
-from swarmtwin.diagnosis.left_over import Usual
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.lost_commands import _log_density
 from swarmtwin.diagnosis.noise_filter import Chains
@@ -44,7 +43,7 @@ def test_what_the_reference_seems_to_lose_as_well_is_no_loss_of_the_session(robo
     model = SessionLikelihood(base, known_noise(), session)
     begun = [mechanism_class("gain_change").at({"gain": 1.0}), mechanism_class("command_loss").at({"probability": 0.1})]
     found = estimate(model, begun)
-    beyond = beyond_usual_loss(model, found, Usual(loss=lambda: usual))
+    beyond = beyond_usual_loss(model, found, errors_showing(loss=usual))
     *others, lost = beyond.values
     assert others == list(found.values[:-1])
     also = min(usual, found.values[-1])
@@ -55,4 +54,4 @@ def test_what_the_reference_seems_to_lose_as_well_is_no_loss_of_the_session(robo
     assert spread[:-1] == pytest.approx(before[:-1])
     assert spread[-1] == pytest.approx(np.hypot(before[-1], also))
     alone = estimate(model, begun[:1])
-    assert beyond_usual_loss(model, alone, Usual(loss=lambda: usual)) is alone
+    assert beyond_usual_loss(model, alone, errors_showing(loss=usual)) is alone

@@ -5,12 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from exact_base import errors_showing
 
 from exact_model import conditions_of
 from swarmtwin.diagnosis.cause_report import leading_sets
 from swarmtwin.diagnosis.cause_search import CausePosterior, share_beside
 from swarmtwin.diagnosis.explanation import Explanation, explanation
-from swarmtwin.diagnosis.left_over import LeftOver, Usual
+from swarmtwin.diagnosis.left_over import LeftOver
 from swarmtwin.diagnosis.settings import DiagnosisSettings, SearchSettings
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -236,7 +237,7 @@ def test_outliers_of_which_the_reference_has_fewer_are_neither_lost_commands_nor
         explained,
         best=SimpleNamespace(**vars(explained.best), fitted=fitted),
         motion_noise=SimpleNamespace(probability=0.99 if cause == "noise_change" else 0.0),
-        usual=Usual(outliers=lambda: usual),
+        reference=errors_showing(outliers=usual),
     )
     expected = is_explained or cause == "gain_change"  # that moves the mean: outliers say nothing of it
     assert explained.verdict == ("explained" if expected else "unexplained")

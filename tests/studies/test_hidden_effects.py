@@ -321,13 +321,18 @@ def test_effects_are_counted_by_their_size_beside_the_limit_that_the_diagnosis_s
         result("one", "gain_change", times_limit=0.0),
         result("one", "wall_effect", ["wall_effect"], times_limit=None),
         result("two", "gain_change+wall_effect", times_limit=None),
+        result("two", "gain_change+wall_effect", ["gain_change", "wall_effect"], times_limit=1.0),
+        result("two", "gain_change+wall_effect", ["gain_change"], times_limit=7.0),
+        result("two", "gain_change+wall_effect", ["gain_change"], times_limit=0.9),
     ]
+    both = formulas(results)["two"]["exact_above_limits"]
+    assert (both.count, both.total) == (1, 2)
     limits = formulas(results)["limits"]
     assert {name: (share.count, share.total) for name, share in limits.items()} == {
         "below half": (0, 1),
         "half to once": (0, 1),
         "once to twice": (9, 10),
-        "above": (0, 0),
+        "twice or more": (0, 0),
     }
 
 
@@ -375,6 +380,15 @@ def test_an_effect_is_so_many_times_as_large_as_its_limit(robots, robot, causes,
     )
     found = times_limit(causes, [stated], robots[robot], conditions_of(robots[robot]), "formulas")
     assert found == (None if times is None else pytest.approx(times))
+
+
+def test_several_effects_are_as_large_as_the_smallest_of_them_beside_its_limit(robots):
+    causes = {"gain_change": {"gain": 0.8}, "command_delay": {"delay_s": 0.01}}
+    stated = [
+        DetectionLimit(cause=cause, parameter=parameter, value=value, unit="", share_of_range=0.1, rival=None)
+        for cause, parameter, value in (("gain_change", "gain", 1.1), ("command_delay", "delay_s", 0.008))
+    ]
+    assert times_limit(causes, stated, robots["mgr"], conditions_of(robots["mgr"]), "formulas") == pytest.approx(1.25)
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,14 @@
 """Step 3. Which sets of causes make a session likely: the best of all are fitted, and share the probability."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
 from swarmtwin.diagnosis.estimation import EstimatedSet, Progress, estimate
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.diagnosis.screening import Candidate, best_by_name, candidates, pairs
 from swarmtwin.diagnosis.settings import SearchSettings
 from swarmtwin.simulation.mechanism import Mechanism
@@ -123,7 +123,7 @@ class CauseSearch:
         model: of the session.
         kinds: the mechanisms offered, by name.
         progress: called with what is being tried.
-        usual_loss: says what share of commands the reference seems to lose as well; asked where it matters.
+        reference: what its own errors show: commands that seem to be lost there as well; None: nothing.
     """
 
     def __init__(
@@ -131,9 +131,9 @@ class CauseSearch:
         model: SessionLikelihood,
         kinds: Mapping[str, MechanismClass],
         progress: Progress | None = None,
-        usual_loss: Callable[[], float] = float,
+        reference: ReferenceErrors | None = None,
     ) -> None:
-        self._usual_loss, self._usual_gain = cache(usual_loss), dict[tuple[MechanismClass, ...], float]()
+        self._reference, self._usual_gain = reference or ReferenceErrors(), dict[tuple[MechanismClass, ...], float]()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = {name: kind for name, kind in kinds.items() if model.can_show(kind)}
         self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}
@@ -197,7 +197,7 @@ class CauseSearch:
         if not loses_commands(one.fitted.kinds):
             return 0.0
         if one.fitted.kinds not in self._usual_gain:
-            usual, none = (self._with_loss(one, share) for share in (self._usual_loss(), 0.0))
+            usual, none = (self._with_loss(one, share) for share in (self._reference.loss, 0.0))
             totals = [self.model.evaluate(mechanisms).total for mechanisms in (usual, none)]
             self._usual_gain[one.fitted.kinds] = max(totals[0] - totals[1], 0.0) if usual != none else 0.0
         return self._usual_gain[one.fitted.kinds]

@@ -1,7 +1,8 @@
 """From measured data to a cause with a name, an extended simulation and its gain, in four steps.
 
 1. Reference and residual: what a simulation gets wrong, in units of the noise it has where nothing is wrong
-   (`reference`, `noise`, `discrepancy`, `unit_spread`; `session_prediction` runs the simulation along a session).
+   (`reference`, `noise`, `discrepancy`, `unit_spread`, `reference_errors`; `session_prediction` runs the simulation along
+   a session).
 2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
@@ -14,7 +15,6 @@
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 
@@ -22,19 +22,14 @@ from swarmtwin.diagnosis.cause_report import leading_sets, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
 from swarmtwin.diagnosis.detection_limits import detection_limits
-from swarmtwin.diagnosis.error_history import nats_by_history
-from swarmtwin.diagnosis.estimation import Progress, estimate
+from swarmtwin.diagnosis.estimation import Progress
 from swarmtwin.diagnosis.explanation import explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
-from swarmtwin.diagnosis.left_over import Usual, outliers
-from swarmtwin.diagnosis.likelihood import (
-    FittedMechanisms,
-    SessionLikelihood,
-    loses_commands,
-)
+from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.diagnosis.screening import sought_kinds
 from swarmtwin.recordings.blocks import in_blocks
@@ -73,15 +68,15 @@ def diagnose(
     dependences = tests.run(model, model.evaluate([]))
 
     # 3. Causes
-    usual = usual_of(reference)
-    found = find_causes(reference, model, usual, progress)
-    explained = explanation(model, found, usual)
+    own = errors_of(reference)
+    found = find_causes(reference, model, own, progress)
+    explained = explanation(model, found, own)
 
     # 4. Finding
     _tell(progress, "what is left")
     judged = runs.judge(explained)
     if judged.objection and explained.may_be_chance:
-        nothing = left_by_nothing(model, found, usual)
+        nothing = left_by_nothing(model, found, own)
         if nothing.verdict == "no_gap":  # what these causes gain was the fitted runs' own
             explained, judged = nothing, runs.judge(nothing)
     after = tests.run(explained.model, explained.best.fitted) if explained.best.names else dependences
@@ -185,45 +180,19 @@ class DependenceTests:
 
 
 def find_causes(
-    reference: Reference, model: SessionLikelihood, usual: Usual, progress: Progress | None
+    reference: Reference, model: SessionLikelihood, own: ReferenceErrors, progress: Progress | None
 ) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
     kinds, session = sought_kinds(model), model.session
     most = reference.settings.search.most_transitions
     part = model if len(session) <= most else reference.likelihood_of(session.where(session.spread_over(most)))
-    return CauseSearch(part, kinds, progress, usual.loss).run()
+    return CauseSearch(part, kinds, progress, own).run()
 
 
-def usual_of(reference: Reference) -> Usual:
-    """Return what the reference's own motion and errors show, measured as those of a session are."""
-
-    def own() -> SessionLikelihood:
-        return reference.own_likelihood(reference.settings.search.most_transitions)
-
-    def history_nats() -> float:
-        model = own()
-        return max(nats_by_history(model, model.evaluate([])), 0.0) / len(model.session)
-
-    def outlier_share() -> float:
-        model = own()
-        return float(outliers(model, model.evaluate([])).mean())
-
-    @cache
-    def loss() -> float:
-        """Return the share of commands that seem to be lost; none where the simulation's errors are a gap as well."""
-        lossy = [kind for kind in sought_kinds(own()).values() if loses_commands([kind])]
-        if reference.discrepancy is None or not lossy:
-            return 0.0
-        points = lossy[0].initial_points(own().robot, own().session.conditions)
-        return float(estimate(own(), [lossy[0].at(points[0])]).values[0])
-
-    def shown() -> SessionLikelihood | None:
-        return None if reference.discrepancy is None else own()
-
-    def count() -> int:
-        return len(own().session)
-
-    return Usual(lambda: own().motion_noise_log()[0], history_nats, count, outlier_share, loss, shown)
+def errors_of(reference: Reference) -> ReferenceErrors:
+    """Return what the reference's own errors show; of a long one so many transitions as are searched of a session."""
+    most = reference.settings.search.most_transitions
+    return ReferenceErrors(lambda: reference.own_likelihood(most), are_gap=reference.discrepancy is None)
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:

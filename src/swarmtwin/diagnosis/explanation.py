@@ -9,9 +9,10 @@ from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate, with_uncertain_simulation
-from swarmtwin.diagnosis.left_over import LeftOver, Usual, left_over, outliers
+from swarmtwin.diagnosis.left_over import LeftOver, left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors, outliers
 from swarmtwin.diagnosis.result import Verdict
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
@@ -27,7 +28,7 @@ class Explanation:
         gained: nats that they gain over no cause.
         left: what they leave over, in nats.
         motion_noise: how random the motion is beside these causes.
-        usual: what the reference's own errors show.
+        reference: what its own errors show.
     """
 
     model: SessionLikelihood
@@ -36,7 +37,7 @@ class Explanation:
     gained: float
     left: LeftOver
     motion_noise: MotionNoiseChange
-    usual: Usual = field(default_factory=Usual)
+    reference: ReferenceErrors = field(default_factory=ReferenceErrors)
 
     @property
     def share(self) -> float:
@@ -145,7 +146,7 @@ class Explanation:
         What moves no mean is seen by the spread of errors alone, and any mishap now and then looks like it.
         """
         settings, large = self.model.settings.dependence, outliers(self.model, self.best.fitted)
-        usual = self.usual.outliers() + settings.least_tails_change
+        usual = self.reference.outliers + settings.least_tails_change
         chance = stats.binom.sf(large.sum() - 1, len(large), usual)
         return bool(chance < settings.false_discovery_rate)
 
@@ -191,7 +192,9 @@ class Explanation:
         return tuple(one for one in self.best.mechanisms if one.name in self.names)
 
 
-def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usual | None = None) -> Explanation:
+def explanation(
+    model: SessionLikelihood, posterior: CausePosterior, reference: ReferenceErrors | None = None
+) -> Explanation:
     """Look at what the best causes leave of a session.
 
     Causes that may as well do nothing are left out, and the others estimated without them: the values of two that make
@@ -201,38 +204,38 @@ def explanation(model: SessionLikelihood, posterior: CausePosterior, usual: Usua
     Args:
         model: of the fitted runs.
         posterior: over sets of causes.
-        usual: what the reference's own errors show likewise; None: nothing.
+        reference: what its own errors show likewise; None: nothing.
     """
-    usual = usual or Usual()
-    found = _explained_by(posterior.best.mechanisms, model, posterior, usual)
+    reference = reference or ReferenceErrors()
+    found = _explained_by(posterior.best.mechanisms, model, posterior, reference)
     while len(found.telling) < len(found.best.names):
         kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name in found.telling]
         likelier = posterior.is_likelier_than_nothing([mechanism.name for mechanism in kept])
-        found = _explained_by(kept if likelier else (), model, posterior, usual)
+        found = _explained_by(kept if likelier else (), model, posterior, reference)
     if found.at_an_end and found.sure and found.at_an_end.isdisjoint(found.sure):
         kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name not in found.at_an_end]
-        without = _explained_by(kept, model, posterior, usual)
+        without = _explained_by(kept, model, posterior, reference)
         return without if without.names else found
     return found
 
 
-def left_by_nothing(model: SessionLikelihood, posterior: CausePosterior, usual: Usual) -> Explanation:
+def left_by_nothing(model: SessionLikelihood, posterior: CausePosterior, reference: ReferenceErrors) -> Explanation:
     """Look at what is left of a session without any cause, given as in `explanation`."""
-    return _explained_by((), model, posterior, usual)
+    return _explained_by((), model, posterior, reference)
 
 
 def _explained_by(
-    mechanisms: Sequence[Mechanism], model: SessionLikelihood, posterior: CausePosterior, usual: Usual
+    mechanisms: Sequence[Mechanism], model: SessionLikelihood, posterior: CausePosterior, reference: ReferenceErrors
 ) -> Explanation:
     refined = model.explained_by(mechanisms)
     best = with_uncertain_simulation(refined, estimate(refined, mechanisms, polish=True, final=True))
     gained = best.fitted.total - refined.evaluate([]).total
-    noise = motion_noise_change(refined, best.mechanisms, usual.noise_log)
-    left = left_over(refined, best, gained, usual)
-    return Explanation(refined, posterior, beyond_usual_loss(refined, best, usual), gained, left, noise, usual)
+    noise = motion_noise_change(refined, best.mechanisms, lambda: reference.motion_noise_log)
+    left = left_over(refined, best, gained, reference)
+    return Explanation(refined, posterior, beyond_usual_loss(refined, best, reference), gained, left, noise, reference)
 
 
-def beyond_usual_loss(model: SessionLikelihood, best: EstimatedSet, usual: Usual) -> EstimatedSet:
+def beyond_usual_loss(model: SessionLikelihood, best: EstimatedSet, reference: ReferenceErrors) -> EstimatedSet:
     """Return a set that loses the commands that the session loses beyond those the reference seems to lose as well.
 
     Times that are not exact, or strokes of a fin that are not known, look like that now and then; how often in the
@@ -244,7 +247,7 @@ def beyond_usual_loss(model: SessionLikelihood, best: EstimatedSet, usual: Usual
     shift, moved = np.zeros(len(best.values)), np.zeros((len(best.values), 1))
     for index, (number, _, parameter) in enumerate(model.parameters(kinds)):
         if loses_commands([kinds[number]]):
-            seems, also = best.values[index], min(usual.loss(), best.values[index])
+            seems, also = best.values[index], min(reference.loss, best.values[index])
             shift[index] = max((seems - also) / (1 - also), parameter.low) - seems
             moved[index] = also
     beyond = best.beyond(shift, moved)

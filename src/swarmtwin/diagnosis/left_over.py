@@ -1,7 +1,6 @@
 """Step 3, its end: what causes leave of a session, and how much of that an uncertain simulation may leave."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,26 +14,7 @@ from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.random_effects import member_disagreement
-
-
-class Usual(NamedTuple):
-    """What is asked of the reference where it matters, measured like the session.
-
-    Attributes:
-        noise_log: the log of the factor on the noise of the reference's own motion.
-        history_nats: nats a transition that its own errors gain by those before them.
-        transitions: how many these nats are known from.
-        outliers: the share of its own transitions with a large error.
-        loss: the share of commands that it seems to lose.
-        own: how likely its own transitions are by what has not seen them; None: not known.
-    """
-
-    noise_log: Callable[[], float] = float
-    history_nats: Callable[[], float] = float
-    transitions: Callable[[], int] = lambda: 1
-    outliers: Callable[[], float] = float
-    loss: Callable[[], float] = float
-    own: Callable[[], SessionLikelihood | None] = lambda: None
+from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 
 
 class LeftOver(NamedTuple):
@@ -65,7 +45,7 @@ class LeftOver(NamedTuple):
         return max(self.by_situation, self.by_history)
 
 
-def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual: Usual) -> LeftOver:
+def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, reference: ReferenceErrors) -> LeftOver:
     """Look at what a set of causes, which gains so many nats over none, leaves of a session's fitted runs."""
     fitted, settings = best.fitted, model.settings.verdict
     errors = model.errors_left(best.mechanisms) - fitted.effect_errors
@@ -77,7 +57,7 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
     drawn = nats_of_uncertainty(model, fitted, disagreement, settings.uncertainty_draws)
     expected, spread = drawn.mean(axis=0), drawn.std(axis=0)
     most = np.maximum(expected + settings.uncertainty_spreads * spread, 0.0)
-    usual_nats, ratio = usual.history_nats() * len(model.session), len(model.session) / usual.transitions()
+    usual_nats, ratio = reference.nats_by_history * len(model.session), len(model.session) / reference.transitions
     # half a squared normal variate, nearly: its standard error is the root of twice as many
     usual_nats += settings.uncertainty_spreads * math.sqrt(2 * usual_nats * (1 + ratio))
     by_chance, beyond = float(most[0]), math.inf
@@ -85,7 +65,7 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
         single = nats_by_chance(model, fitted.residual, settings.chance_draws)
         most_single = float(single.mean() + settings.uncertainty_spreads * single.std())
         by_chance = min(by_chance, len(best.names) * most_single)
-        if arriving(best.mechanisms) and (own := usual.own()):
+        if arriving(best.mechanisms) and (own := reference.granted):
             beyond = nats_beyond_reference(model, own, best.mechanisms)
     return LeftOver(
         by_situation,
@@ -96,12 +76,6 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, usual
         by_chance,
         beyond,
     )
-
-
-def outliers(model: SessionLikelihood, fitted: FittedMechanisms) -> np.ndarray:
-    """Return (N,) in which transitions mechanisms leave a large error, in units of what they leave of all."""
-    large: np.ndarray = (np.abs(fitted.residual / fitted.scale) > model.settings.dependence.tail_z).any(axis=1)
-    return large
 
 
 def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, errors: np.ndarray) -> float:

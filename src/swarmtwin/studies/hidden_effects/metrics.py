@@ -26,7 +26,7 @@ LIMIT_BINS = {
     "below half": (0.0, 0.5),
     "half to once": (0.5, 1.0),
     "once to twice": (1.0, 2.0),
-    "above": (2.0, float("inf")),
+    "twice or more": (2.0, float("inf")),
 }
 """How many times as large as its detection limit an effect is: from the first figure to below the second."""
 
@@ -87,12 +87,13 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             exact: the causes named are the true ones and no others.
             exact_of_known_vehicle: likewise, of sessions of the vehicle that the simulation was learned from: of
                 another one nobody can tell an effect from what units differ in by fabrication, if it is as small.
+            exact_above_limits: likewise, of sessions in which each effect is at least as large as its detection limit.
             found: something was said to be wrong.
             named_first: the first cause named is a true one.
             listed: all true causes are named, or rivals of those named.
             falsely_named: a cause was named that is not there.
-        limits: of single effects, by how large they are beside the detection limit that their diagnosis states: from
-            there on it should name 90 %.
+        limits: `exact` of single effects, by how large they are beside the detection limit that their diagnosis states:
+            from there on it should name 90 %.
         outside: of what the catalogue does not know
             found: likewise; costly_found: of what raises the error by 10 % or more.
             not_named: no cause was named.
@@ -149,10 +150,7 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "failed": Proportion.of(table.verdict == "failed"),
         "one": _naming_by_rise(one),
         **{kind: _naming(table[table.kind == kind]) for kind in ("two", "three")},
-        "limits": {
-            name: Proportion.of(one.exact[one.times_limit.astype(float).between(low, high, inclusive="left")])
-            for name, (low, high) in LIMIT_BINS.items()
-        },
+        "limits": {name: _exact_at_limits(one, *bin_ends) for name, bin_ends in LIMIT_BINS.items()},
         "outside": _silence(outside),
         "clean": _proportions(clean, ALARMS),
         "mechanisms": {name: _mechanism(name, one, parameters) for name in one.about.unique()},
@@ -167,6 +165,11 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "learning_seconds": _median_and_most(table.learning_seconds),
         "memory_mb": _median_and_most(table.memory_mb),
     }
+
+
+def _exact_at_limits(table: pd.DataFrame, low: float, high: float = float("inf")) -> Proportion:
+    """Count what is named of effects that are so many times as large as their detection limits, below `high`."""
+    return Proportion.of(table.exact[table.times_limit.astype(float).between(low, high, inclusive="left")])
 
 
 def _mechanism(name: str, one: pd.DataFrame, parameters: pd.DataFrame) -> dict[str, Any]:
@@ -232,7 +235,8 @@ def _proportions(table: pd.DataFrame, columns: Iterable[str]) -> Proportions:
 
 def _naming(table: pd.DataFrame) -> Proportions:
     known = Proportion.of(table.exact[table.same_vehicle.astype(bool)])
-    return {**_proportions(table, NAMING), "exact_of_known_vehicle": known}
+    above = _exact_at_limits(table, 1.0)
+    return {**_proportions(table, NAMING), "exact_of_known_vehicle": known, "exact_above_limits": above}
 
 
 def _naming_by_rise(table: pd.DataFrame) -> dict[str, Proportions]:

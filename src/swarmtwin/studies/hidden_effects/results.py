@@ -65,9 +65,9 @@ class Result(StrictModel):
         causes: in the order named.
         depends_on: what the residual depended on.
         gained: by the extended simulation.
-        times_limit: size of a single hidden effect over the size from which on the session would have named it with
-            90 %, as its diagnosis says; 0 where it says that no size would. Null where it says nothing of that cause,
-            or in another unit.
+        times_limit: size of a hidden effect over the size from which on the session would have named it with 90 %, as
+            its diagnosis says, beside the other causes that it found; 0 where it says that no size would. Of several
+            the smallest. Null where it says nothing of one of them, or in another unit.
         baselines: null where they were left out.
         true_model: what is made of it with the true model in hand; null where that was left out.
         seconds: that the diagnosis took, given the reference.

@@ -122,10 +122,20 @@ def times_limit(
     conditions: SessionConditions,
     family: Family,
 ) -> float | None:
-    """Return the size of a single cause over its detection limit in a session: see `Result.times_limit`."""
-    if len(causes) != 1:
-        return None
-    name, true = next(iter(causes.items()))
+    """Return the size of the cause that is smallest beside its detection limit, over that: `Result.times_limit`."""
+    times = [_times_limit(name, true, limits, robot, conditions, family) for name, true in causes.items()]
+    known = [one for one in times if one is not None]
+    return min(known) if known and len(known) == len(times) else None
+
+
+def _times_limit(
+    name: str,
+    true: Mapping[str, float],
+    limits: Sequence[DetectionLimit],
+    robot: Robot,
+    conditions: SessionConditions,
+    family: Family,
+) -> float | None:
     limit = next((one for one in limits if one.cause == name), None)
     if limit is None or limit.parameter not in true or is_another_unit(family, robot.name, limit.parameter):
         return None

@@ -91,6 +91,7 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
     """Return the figures that matter, each family in a column, shares with 95 % intervals, beside the mark set."""
     families: Families = summary["families"]
     of_known = "  of these, the vehicle that was learned from"
+    above = "  of these, each at its detection limit or above"
     rows: list[tuple[str, str, Callable[[dict[str, Any]], str]]] = [
         ("sessions", "", lambda own: str(own["cases"])),
         ("one cause, error up by ≥ 10 %: it and nothing else", "≥ 99 %", lambda own: _told(own["one"][CLEAR]["exact"])),
@@ -104,15 +105,18 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
             (label, mark, lambda own, bin_name=bin_name: _told(own["limits"][bin_name]))
             for label, bin_name, mark in (
                 ("one cause, once to twice its detection limit: it and nothing else", "once to twice", "≥ 90 %"),
+                ("  twice its limit or more", "twice or more", ""),
                 ("  half of its limit to once", "half to once", ""),
                 ("  less than half of its limit", "below half", ""),
             )
         ),
         ("two causes: both and nothing else", "≥ 95 %", lambda own: _told(own["two"]["exact"])),
         (of_known, "", lambda own: _told(own["two"]["exact_of_known_vehicle"])),
+        (above, "", lambda own: _told(own["two"]["exact_above_limits"])),
         ("  a cause named that is not there", "", lambda own: _told(own["two"]["falsely_named"])),
         ("three causes: all and nothing else", "≥ 80 %", lambda own: _told(own["three"]["exact"])),
         (of_known, "", lambda own: _told(own["three"]["exact_of_known_vehicle"])),
+        (above, "", lambda own: _told(own["three"]["exact_above_limits"])),
         ("  a cause named that is not there", "", lambda own: _told(own["three"]["falsely_named"])),
         ("in no catalogue: no cause named", "≥ 98 %", lambda own: _told(own["outside"]["not_named"])),
         ("  alarm where the error is up by ≥ 10 %", "≥ 95 %", lambda own: _told(own["outside"]["costly_found"])),
