@@ -70,6 +70,18 @@ def test_an_ageing_battery_is_named_with_its_loss(diagnosed):
     assert 0 < gain["low"] < gain["high"]
 
 
+def test_what_the_cause_gains_in_open_loop_over_seconds_is_told_as_far_as_runs_are_long(diagnosed):
+    found = read_result(diagnosed).gain.open_loop_windows
+    assert [(one.window_s, one.pieces, one.runs) for one in found] == [(2.0, 70, 10), (5.0, 30, 10), (10.0, 10, 10)]
+    assert all(one.low < one.before - one.after < one.high and one.after < one.before for one in found)
+    assert found[0].low > 0  # of the longer ones there are few pieces
+    assert found[0].before < found[1].before < found[2].before
+    (run,) = mlflow.search_runs(
+        experiment_names=["swarmtwin/diagnosis"], filter_string=f"params.output = '{diagnosed}'", output_format="list"
+    )
+    assert run.data.metrics["after_open_loop_10s_mm"] == found[2].after
+
+
 def test_the_extended_simulation_is_a_dynamics_model_like_any_other(drives, diagnosed):
     extended = load_simulation(diagnosed / "simulation")
     transitions, _ = from_recording(read_recording(drives / "sag", extended.robot))

@@ -19,6 +19,7 @@ from swarmtwin.diagnosis.result import (
     Gain,
     Gains,
     NextRecording,
+    WindowGain,
 )
 from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import compose
@@ -54,6 +55,15 @@ NEXT = NextRecording(
     expected_nats=7.3,
     command="swarmtwin record robot=mgr drive=next_drive.csv runs=20 output=next",
 )
+
+
+UNCHANGED = Gain(before=1.25, after=1.25, low=0, high=0)
+
+
+def over(window_s, before, after, low, high):
+    """A gain in open loop over so many seconds; spreads are half of the means."""
+    spreads = {"before_sd": before / 2, "after_sd": after / 2}
+    return WindowGain(window_s=window_s, before=before, after=after, low=low, high=high, pieces=28, runs=7, **spreads)
 
 
 def made_robot(columns=2, arena=(1000, 800)):
@@ -170,9 +180,13 @@ def made_result(verdict="explained", **changes):
             orientation_deg=Gain(before=12.4, after=3.05, low=9.1, high=9.6),
             open_loop_mm=Gain(before=214.0, after=31.0, low=160.0, high=205.0),
             ten_periods_mm=Gain(before=62.0, after=11.0, low=44.0, high=58.0),
+            open_loop_windows=(over(2, 31.2, 6.0, 22.1, 28.3), over(10, 118.0, 17.0, 88.0, 112.0)),
         )
         if wrong
-        else Gains(**{name: Gain(before=1.25, after=1.25, low=0, high=0) for name in Gains.model_fields}),
+        else Gains(
+            **dict.fromkeys(("position_mm", "orientation_deg", "open_loop_mm", "ten_periods_mm"), UNCHANGED),
+            open_loop_windows=(over(2, 5.5, 5.5, 0, 0),),
+        ),
         next_recording=NEXT if wrong else None,
         left_over=(),
         tests=tests,

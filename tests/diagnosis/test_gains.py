@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from diagnosis_factories import made_result, made_session
 
-from swarmtwin.diagnosis.gains import Errors, gain_by_loss, likelihood_gain, not_confirmed, pieces, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, gain_by_loss, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.open_loop_pieces import pieces
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
 from swarmtwin.diagnosis.result import Gain, Gains

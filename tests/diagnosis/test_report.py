@@ -103,6 +103,8 @@ def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
         "before 8.61 mm after 1.82 mm −6.8 mm (−7.1 to −6.5), −79",
         "before 12.4° after 3.0° −9.4° (−9.6 to −9.1), −75",
         "before 214 mm after 31 mm −183 mm (−205 to −160), −86",
+        "2 s 31.2 ± 15.6 mm 6.0 ± 3.0 mm −25 mm (−28 to −22), −81 % 28 from 7 runs",
+        "10 s 118 ± 59 mm 17 ± 8 mm −101 mm (−112 to −88), −86 % 28 from 7 runs",
         "20 runs of 40 steps with the commands in next_drive.csv",
         NEXT.command,
     ):
@@ -369,6 +371,22 @@ def test_gains_may_be_losses_and_errors_nothing():
     assert bars[3].before == "not known"
     older = made_result().gain.model_copy(update={"ten_periods_mm": None})
     assert len(gain_bars(made_result(gain=older))) == 3
+
+
+def test_a_result_without_windows_has_no_table_of_them(tmp_path):
+    """Runs were too short for each of them, or it is of an older version."""
+    gain = made_result().gain.model_copy(update={"open_loop_windows": ()})
+    page = page_of(made_session(made_result(gain=gain), moved_late), tmp_path)
+    assert "longer windows" not in page.above
+    content = json.loads((tmp_path / "diagnosis.json").read_text())
+    del content["gain"]["open_loop_windows"]
+    (tmp_path / "diagnosis.json").write_text(json.dumps(content))
+    assert read_result(tmp_path).gain == gain
+
+
+def test_where_nothing_was_extended_one_error_after_each_window_is_told(tmp_path):
+    page = page_of(made_session(made_result("no_gap"), moved_as_simulated), tmp_path)
+    assert "over error predictions 2 s 5.50 ± 2.75 mm 28 from 7 runs" in page.above
 
 
 def test_odds_are_round_numbers():

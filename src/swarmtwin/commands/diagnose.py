@@ -146,7 +146,8 @@ def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: 
 def _gains(diagnosis: DiagnosisResult) -> dict[str, Gain]:
     gain = diagnosis.gain
     names = ("position_mm", "orientation_deg", "ten_periods_mm", "open_loop_mm")
-    return {name: one for name in names if (one := getattr(gain, name))}
+    windows = {f"open_loop_{one.window_s:g}s_mm": one for one in gain.open_loop_windows}
+    return {name: one for name in names if (one := getattr(gain, name))} | windows
 
 
 def table(diagnosis: DiagnosisResult) -> Table:

@@ -80,7 +80,7 @@ class HeldOutRuns:
     @cached_property
     def errors(self) -> Errors:
         """What the simulation errs in them as it was."""
-        return Errors.of(self.simulation, self.scored, self.tracks)
+        return Errors.of(self.simulation, self.scored, self.tracks, self._windows_s)
 
     @cached_property
     def unfitted(self) -> SessionLikelihood:
@@ -91,7 +91,7 @@ class HeldOutRuns:
         """Extend the simulation by what was found, and measure what that gains."""
         settings = self.reference.settings.verdict
         extended = _extended(self.reference, self.simulation, explained, self.seed)
-        errors = _errors_of(extended, self.session, self.scored, self.tracks) if extended else self.errors
+        errors = self._errors_of(extended) if extended else self.errors
         gain = gains(self.errors, errors, self.scored.run, settings.gain_draws, np.random.default_rng(self.seed))
         if not extended:
             return HeldOutJudgement(None, errors, gain, None)
@@ -105,21 +105,25 @@ class HeldOutRuns:
         moves = extended.residual is not None or bool(arriving(explained.mechanisms))
         return HeldOutJudgement(extended, errors, gain, not_confirmed(gain, likelihood, settings.immaterial, moves))
 
+    @property
+    def _windows_s(self) -> tuple[float, ...]:
+        return self.reference.settings.verdict.windows_s
 
-def _errors_of(extended: Simulation, session: MeasuredSession, scored: Transitions, tracks: list[Track]) -> Errors:
-    """Return an extended simulation's errors; delays act to the moment where it is known when commands were sent."""
-    late = [mechanism for mechanism in extended.mechanisms if mechanism.latency_s() > 0]
-    if not session.sent or not late or extended.residual:
-        return Errors.of(extended, scored, tracks)
-    late_s = sum(mechanism.latency_s() for mechanism in late)
-    others = [mechanism for mechanism in extended.mechanisms if mechanism not in late]
-    log = session.sent._replace(transitions=scored)
-    command, previous, earlier = log.late(late_s)
-    return Errors.of(
-        Simulation(extended.dynamics, others, extended.conditions),
-        replace(scored, command=command, previous_command=previous, earlier_command=earlier),
-        [log.acting_late(track, late_s) for track in tracks],
-    )
+    def _errors_of(self, extended: Simulation) -> Errors:
+        """Return an extended simulation's errors; delays act to the moment where it is known when each was sent."""
+        late = [mechanism for mechanism in extended.mechanisms if mechanism.latency_s() > 0]
+        if not self.session.sent or not late or extended.residual:
+            return Errors.of(extended, self.scored, self.tracks, self._windows_s)
+        late_s = sum(mechanism.latency_s() for mechanism in late)
+        others = [mechanism for mechanism in extended.mechanisms if mechanism not in late]
+        log = self.session.sent._replace(transitions=self.scored)
+        command, previous, earlier = log.late(late_s)
+        return Errors.of(
+            Simulation(extended.dynamics, others, extended.conditions),
+            replace(self.scored, command=command, previous_command=previous, earlier_command=earlier),
+            [log.acting_late(track, late_s) for track in self.tracks],
+            self._windows_s,
+        )
 
 
 def _extended(reference: Reference, simulation: Simulation, explained: Explanation, seed: int) -> Simulation | None:

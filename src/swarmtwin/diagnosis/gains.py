@@ -2,13 +2,14 @@
 
 import bisect
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import stats
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.result import Gain, Gains
+from swarmtwin.diagnosis.open_loop_pieces import WindowErrors, pieces, window_errors
+from swarmtwin.diagnosis.result import Gain, Gains, WindowGain
 from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.simulation.mechanism import Mechanism
@@ -27,45 +28,28 @@ class Errors:
         open_loop: whole runs, predicted from their first pose.
         ten_periods: pieces of them, each predicted from a measured pose over ten periods.
         run: the run of each of these pieces.
+        windows: likewise over seconds, of each window.
     """
 
     one_step: np.ndarray
     open_loop: tuple[OpenLoop, ...]
     ten_periods: tuple[OpenLoop, ...]
     run: tuple[str, ...]
+    windows: tuple[WindowErrors, ...]
 
     @classmethod
-    def of(cls, simulation: Simulation, transitions: Transitions, tracks: list[Track]) -> "Errors":
-        """Predict transitions one by one, whole tracks, and pieces of these."""
+    def of(
+        cls, simulation: Simulation, transitions: Transitions, tracks: list[Track], windows_s: Sequence[float] = ()
+    ) -> "Errors":
+        """Predict transitions one by one, whole tracks, and pieces of these, over ten periods and over each window."""
         parts = [(track.run, piece) for track in tracks for piece in pieces(track)]
         return cls(
             one_step_errors(simulation, transitions),
             tuple(open_loop(simulation, tracks)),
             tuple(open_loop(simulation, [piece for _, piece in parts])),
             tuple(run for run, _ in parts),
+            window_errors(simulation, tracks, windows_s),
         )
-
-
-def pieces(track: Track, periods: int = 10) -> Iterator[Track]:
-    """Yield pieces of a track, each so many periods from a known pose on, one after the other.
-
-    Each begins one row earlier, without its pose, so that the command before is known. They are runs of their own.
-    """
-    known = np.flatnonzero(np.isfinite(track.pose).all(axis=1))
-    begins = known[:1]
-    while len(begins) and begins[0] + 1 < len(track):
-        first = int(begins[0])
-        rows = slice(max(first - 1, 0), first + periods + 1)
-        pose = track.pose[rows].copy()
-        pose[: first - rows.start] = np.nan
-        yield dataclasses.replace(
-            track,
-            run=f"{track.run}, period {first // periods}",
-            time_s=track.time_s[rows],
-            command=track.command[rows],
-            pose=pose,
-        )
-        begins = known[known >= first + periods][:1]
 
 
 def scored_tracks(measured: Recording, believable: Transitions, scored: Transitions) -> list[Track]:
@@ -115,6 +99,7 @@ def gains(before: Errors, after: Errors, run: np.ndarray, draws: int, rng: np.ra
         orientation_deg=orientation,
         open_loop_mm=_gain_over_runs(before.open_loop, after.open_loop, names, draws, rng),
         ten_periods_mm=_gain_over_runs(before.ten_periods, after.ten_periods, before.run, draws, rng),
+        open_loop_windows=_gains_over_windows(before.windows, after.windows, draws, rng),
     )
 
 
@@ -125,6 +110,32 @@ def _gain_over_runs(
     first, second = (np.array([loop.rmse_mm for loop in loops]) for loops in (before, after))
     known = np.isfinite(first) & np.isfinite(second)
     return _gain(first[known], second[known], np.unique(run, return_inverse=True)[1][known], draws, rng)
+
+
+def _gains_over_windows(
+    before: Sequence[WindowErrors], after: Sequence[WindowErrors], draws: int, rng: np.random.Generator
+) -> tuple[WindowGain, ...]:
+    """Compare the errors of the same pieces over each window that several runs are long enough for."""
+    gained = []
+    for first, second in zip(before, after, strict=True):
+        known = np.isfinite(first.rmse_mm) & np.isfinite(second.rmse_mm)
+        run = np.array(first.run)[known]
+        runs = len(np.unique(run))
+        if runs < 2:  # one alone says nothing of how runs differ
+            continue
+        errors_mm = first.rmse_mm[known], second.rmse_mm[known]
+        spread = [float(one.std()) for one in errors_mm]
+        gained.append(
+            WindowGain(
+                **_gain(*errors_mm, run, draws, rng).model_dump(),
+                window_s=first.window_s,
+                before_sd=spread[0],
+                after_sd=spread[1],
+                pieces=len(run),
+                runs=runs,
+            )
+        )
+    return tuple(gained)
 
 
 def likelihood_gain(

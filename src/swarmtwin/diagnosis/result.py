@@ -88,6 +88,24 @@ class Gain(StrictModel):
     high: Number
 
 
+class WindowGain(Gain):
+    """Root mean square error of positions over windows of one length in open loop, its mean over windows.
+
+    Attributes:
+        window_s: the length.
+        before_sd: standard deviation over windows, of the simulation.
+        after_sd: likewise, of the extended simulation.
+        pieces: windows, one after the other in each run, each predicted from a measured pose.
+        runs: held-out runs, or blocks of them, that are long enough to hold one; they are what the interval is over.
+    """
+
+    window_s: Number
+    before_sd: Number
+    after_sd: Number
+    pieces: int
+    runs: int
+
+
 class Gains(StrictModel):
     """The gain on runs that nothing was fitted to.
 
@@ -96,12 +114,15 @@ class Gains(StrictModel):
         orientation_deg: likewise.
         open_loop_mm: root mean square over whole runs, predicted from their first pose and the commands alone.
         ten_periods_mm: likewise over ten periods, from poses all over the runs; None in results of older versions.
+        open_loop_windows: likewise over 2, 5, 10 and 30 s (`diagnosis.verdict.windows_s`), without those that fewer
+            than two held-out runs are long enough for. Nothing is decided by them. Empty in older files.
     """
 
     position_mm: Gain
     orientation_deg: Gain
     open_loop_mm: Gain
     ten_periods_mm: Gain | None = None
+    open_loop_windows: tuple[WindowGain, ...] = ()
 
 
 class Dependence(StrictModel):

@@ -259,6 +259,7 @@ class VerdictSettings(StrictModel):
         nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
             cause to be named.
         gain_draws: bootstraps over runs for the gain's interval.
+        windows_s: over which open loop is measured, in held-out runs that are as long.
         immaterial: share of an error by which it may rise on held-out runs where another one falls.
     """
 
@@ -273,6 +274,7 @@ class VerdictSettings(StrictModel):
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05
     gain_draws: Count = 1000
+    windows_s: tuple[Positive, ...] = (2.0, 5.0, 10.0, 30.0)
     immaterial: Share = 0.01
 
 

@@ -86,6 +86,24 @@ class Bars(NamedTuple):
     change: str
 
 
+class WindowRow(NamedTuple):
+    """Errors of positions over windows of one length in open loop, as a row of a table.
+
+    Attributes:
+        window: the length.
+        before: mean ± standard deviation over windows, with the simulation as it was.
+        extended: likewise, with the extended one; None where nothing was extended.
+        change: by how much the mean shrank, with its interval.
+        measured: over how many windows, of how many runs.
+    """
+
+    window: str
+    before: str
+    extended: str | None
+    change: str
+    measured: str
+
+
 def draw_diagnosis(made: Path, output: Path) -> None:
     """Write the report of what `swarmtwin diagnose` left in `made` into `output`.
 
@@ -170,6 +188,7 @@ def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
         words=sentences,
         questions=QUESTIONS,
         bars=gain_bars(diagnosis),
+        windows=window_rows(diagnosis),
         leading=leading,
         posterior=drawn.get("posterior"),
         runs=drawn.get("runs"),
@@ -191,10 +210,36 @@ def gain_bars(diagnosis: DiagnosisResult) -> list[Bars]:
     return [_bars(title, one, unit, diagnosis) for title, (one, unit) in bars.items() if one]
 
 
+def window_rows(diagnosis: DiagnosisResult) -> list[WindowRow]:
+    """Return open loop over windows as rows of a table; none where no run was long enough, or in older results."""
+    rows = []
+    for one in diagnosis.gain.open_loop_windows:
+        decimals = _decimals(one.before)
+        before, after = (
+            f"{mean:.{decimals}f} ± {spread:.{decimals}f}{SPACE}mm"
+            for mean, spread in ((one.before, one.before_sd), (one.after, one.after_sd))
+        )
+        rows.append(
+            WindowRow(
+                window=f"{one.window_s:g}{SPACE}s",
+                before=before,
+                extended=after if diagnosis.extension != "none" else None,
+                change=sentences.gain_words(one, "mm"),
+                measured=f"{one.pieces} from {one.runs} runs",
+            )
+        )
+    return rows
+
+
+def _decimals(error: float) -> int:
+    """Return how many decimals leave an error three digits, three at most."""
+    return min(max(0, 2 - math.floor(math.log10(error))), 3) if error > 0 else 0
+
+
 def _bars(title: str, gain: Gain, unit: str, diagnosis: DiagnosisResult) -> Bars:
     low, high = max(gain.before - gain.high, 0.0), max(gain.before - gain.low, 0.0)
     full = max(gain.before, gain.after, high) or 1.0
-    decimals = min(max(0, 2 - math.floor(math.log10(gain.before))), 3) if gain.before > 0 else 0
+    decimals = _decimals(gain.before)
     before, after = (
         f"{value:.{decimals}f}{SPACE}{unit}".replace(f"{SPACE}°", "°") for value in (gain.before, gain.after)
     )
