@@ -250,3 +250,12 @@ def test_causes_that_the_reference_shows_as_well_are_not_named(robots, beyond, v
     posterior = posterior_of(gain_change=(40.0, 1))
     explained = explanation_of(robots["mgr"], {"gain_change": GAIN_SURE}, posterior, gained=40.0, left=left)
     assert explained.verdict == verdict
+
+
+@pytest.mark.parametrize(("variation", "verdict"), [(5.0, "explained"), (30.0, "unexplained")])
+def test_causes_whose_change_varies_are_not_named(robots, variation, verdict):
+    left = LeftOver(0.0, 0.0, by_variation=variation)
+    posterior = posterior_of(gain_change=(300.0, 1))
+    explained = explanation_of(robots["mgr"], {"gain_change": GAIN_SURE}, posterior, left=left)
+    assert explained.verdict == verdict
+    assert bool(explained.names) is (verdict == "explained")

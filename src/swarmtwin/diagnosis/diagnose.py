@@ -6,7 +6,8 @@
 2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
-   them leaves (`explanation`, `left_over`, `gain_by_chance`, `error_history`, `motion_noise_change`).
+   them leaves (`explanation`, `left_over`, `varying_causes`, `gain_by_chance`, `error_history`,
+   `motion_noise_change`).
 4. Finding: the extended simulation and its gains on held-out runs, causes as they are reported and the leading sets,
    the smallest effects that the session would have shown, the next recording (`extension`, `gains`,
    `open_loop_pieces`, `cause_report`, `detection_limits` with `sized_causes` and `random_limits`, `next_recording`,

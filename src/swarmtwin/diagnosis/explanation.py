@@ -84,9 +84,13 @@ class Explanation:
 
     @property
     def _may_be_another_cause(self) -> bool:
-        """Likewise, where less is enough: it takes little to say that these are not the causes, or not all of them."""
+        """Likewise, where less is enough: it takes little to say that these are not the causes, or not all of them.
+
+        So does that what they do varies, as that of the true ones does not.
+        """
         nats = self.model.settings.verdict.nameless_nats
-        return self._is_too_much(self.left.by_situation, self.left.by_history, nats)
+        by_situation = max(self.left.by_situation, self.left.by_variation)
+        return self._is_too_much(by_situation, self.left.by_history, nats)
 
     @cached_property
     def at_an_end(self) -> frozenset[str]:

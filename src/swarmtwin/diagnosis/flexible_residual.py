@@ -51,12 +51,14 @@ class FlexibleResidual:
     Attributes:
         columns: (N, q) features; the first one is 1.
         families: numbers of those that look at the command, memory, heading, place, time, duration, neighbours.
+        modulations: (N, p) few smooth functions, each of unit size, of time, place and heading: see `varying_causes`.
         fold: (N,) numbers of the folds; whole runs.
         settings: of the regressions.
     """
 
     columns: np.ndarray
     families: dict[str, np.ndarray]
+    modulations: dict[str, np.ndarray]
     fold: np.ndarray
     settings: FlexibleSettings
 
@@ -130,7 +132,9 @@ class FlexibleResidual:
         standardised = [np.ones((len(motion), 1)), *(_standardised(columns) for columns in families.values())]
         ends = np.cumsum([columns.shape[1] for columns in standardised])
         numbers = {name: np.arange(*ends[index : index + 2]) for index, name in enumerate(families)}
-        return cls(np.concatenate(standardised, axis=1), numbers, session.run % settings.folds, settings)
+        modulations = {"time": ageing, "place": place, "heading": np.column_stack([heading, axis])}
+        modulations = {name: _of_unit_size(functions) for name, functions in modulations.items()}
+        return cls(np.concatenate(standardised, axis=1), numbers, modulations, session.run % settings.folds, settings)
 
     def predicted(self, errors: np.ndarray, scale: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Return what errors (N, 3) are expected to be by regressions that have not seen their runs, (N, 3).
@@ -193,3 +197,8 @@ def _standardised(columns: np.ndarray) -> np.ndarray:
     shown = spread > 1e-9
     standardised: np.ndarray = (columns[:, shown] - columns[:, shown].mean(axis=0)) / spread[shown]
     return standardised
+
+
+def _of_unit_size(functions: np.ndarray) -> np.ndarray:
+    scaled: np.ndarray = functions / np.maximum(np.sqrt((functions**2).mean(axis=0)), 1e-9)
+    return scaled

@@ -15,6 +15,7 @@ from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, 
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.random_effects import member_disagreement
 from swarmtwin.diagnosis.reference_errors import ReferenceErrors
+from swarmtwin.diagnosis.varying_causes import nats_by_variation
 
 
 class LeftOver(NamedTuple):
@@ -29,6 +30,7 @@ class LeftOver(NamedTuple):
         most_by_chance: that the causes may gain by it at most: each as much as the likeliest one alone, and all
             together no more than the first regression.
         beyond_reference: by which the session tells more of the causes than the reference, driven alike.
+        by_variation: that regressions on how what the causes do varies gain.
     """
 
     by_situation: float
@@ -38,6 +40,7 @@ class LeftOver(NamedTuple):
     most_lasting_uncertainty: float = 0.0
     most_by_chance: float = 0.0
     beyond_reference: float = math.inf
+    by_variation: float = 0.0
 
     @property
     def nats(self) -> float:
@@ -50,10 +53,11 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, refer
     fitted, settings = best.fitted, model.settings.verdict
     errors = model.errors_left(best.mechanisms) - fitted.effect_errors
     by_situation, by_history = _nats_by_situation(model, fitted, errors), nats_by_history(model, fitted)
+    by_variation = nats_by_variation(model, fitted)
     disagreement = member_disagreement(model, arriving(best.mechanisms)) if best.names else model.disagreement
     could_be = float((model.filter(disagreement) ** 2).sum()) / 2  # nats, were all of it predicted
     if max(by_situation, by_history) <= settings.alarm_nats and (not best.names or gained > could_be):
-        return LeftOver(by_situation, by_history)
+        return LeftOver(by_situation, by_history, by_variation=by_variation)
     drawn = nats_of_uncertainty(model, fitted, disagreement, settings.uncertainty_draws)
     expected, spread = drawn.mean(axis=0), drawn.std(axis=0)
     most = np.maximum(expected + settings.uncertainty_spreads * spread, 0.0)
@@ -75,6 +79,7 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, refer
         float(most[1]),
         by_chance,
         beyond,
+        by_variation,
     )
 
 
