@@ -16,7 +16,7 @@ def reported_causes(explained: Explanation, rng: np.random.Generator) -> tuple[C
     posterior, settings = explained.posterior, explained.model.settings.search
     nats = {name: _missed_nats(explained, name) for name in explained.names}
     total = sum(max(one, 1e-9) for one in nats.values())
-    estimates = _estimates(explained.model, explained.best, rng)
+    estimates = reported_parameters(explained.model, explained.best, rng)
     causes = []
     for name in explained.names:
         rivals = posterior.rivals(name, settings.rival_from)
@@ -46,28 +46,10 @@ def leading_sets(posterior: CausePosterior, most: int) -> tuple[CauseSet, ...]:
     return (*leading[: most - len(nothing)], *nothing)
 
 
-def _missed_nats(explained: Explanation, name: str) -> float:
-    """Return by how many nats the session is less likely without a cause, the others beside it fitted anew."""
-    posterior, names = explained.posterior, explained.best.names
-    together = posterior.of_names(names) or posterior.best
-    beside = posterior.of_names([other for other in names if other != name]) or posterior.nothing
-    return together.fitted.total - beside.fitted.total
-
-
-def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str, ...]) -> str:
-    runs = explained.model.session.runs
-    beside = "no other cause comes near"
-    if rivals:
-        others = [one for one in explained.posterior.sets if rivals[0] in one.names and name not in one.names]
-        behind = explained.posterior.best.evidence - others[0].evidence
-        beside = f"{rivals[0]} in its place is behind by {behind:.1f} nats"
-    return f"log-likelihood of {runs} runs rises by {nats:.0f} with it; {beside}"
-
-
-def _estimates(
+def reported_parameters(
     model: SessionLikelihood, found: EstimatedSet, rng: np.random.Generator
 ) -> dict[str, dict[str, Estimate]]:
-    """Return for each mechanism its parameters as they are reported, with intervals."""
+    """Return for each mechanism of a set its parameters as they are reported, with intervals drawn by `rng`."""
     settings = model.settings.estimation
     kinds = [type(mechanism) for mechanism in found.mechanisms]
     parameters = model.parameters(kinds)
@@ -90,6 +72,24 @@ def _estimates(
             for name, value in mechanism.reported().items()
         }
     return estimates
+
+
+def _missed_nats(explained: Explanation, name: str) -> float:
+    """Return by how many nats the session is less likely without a cause, the others beside it fitted anew."""
+    posterior, names = explained.posterior, explained.best.names
+    together = posterior.of_names(names) or posterior.best
+    beside = posterior.of_names([other for other in names if other != name]) or posterior.nothing
+    return together.fitted.total - beside.fitted.total
+
+
+def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str, ...]) -> str:
+    runs = explained.model.session.runs
+    beside = "no other cause comes near"
+    if rivals:
+        others = [one for one in explained.posterior.sets if rivals[0] in one.names and name not in one.names]
+        behind = explained.posterior.best.evidence - others[0].evidence
+        beside = f"{rivals[0]} in its place is behind by {behind:.1f} nats"
+    return f"log-likelihood of {runs} runs rises by {nats:.0f} with it; {beside}"
 
 
 def _estimate(value: float, samples: np.ndarray, unit: str, interval: float) -> Estimate:
