@@ -9,7 +9,7 @@ import torch
 from exact_base import SPREAD, ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.motion_noise_change import expected_noise_log, motion_noise_change
+from swarmtwin.diagnosis.motion_noise_change import expected_noise_log, motion_noise_change, usual_noise_spread
 from swarmtwin.geometry import exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -75,3 +75,22 @@ def test_noise_that_goes_with_the_motion_or_with_the_command_is_no_cause_beside_
     assert expected_noise_log(model, []) == 0.0
     found = motion_noise_change(model, slower, float)
     assert (found.probability > 0.5) is is_cause
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "leaves_motion"),
+    [
+        ("marker_yaw", {"angle_rad": 0.1}, True),
+        ("camera_scale", {"scale": 1.0}, True),
+        ("command_loss", {"probability": 0.02}, True),
+        ("gain_change", {"gain": 1.0}, False),
+        ("command_delay", {"delay_s": 0.05}, False),
+    ],
+)
+def test_noise_beside_causes_that_leave_the_motion_as_it_is_is_known_as_well_as_alone(
+    model, name, values, leaves_motion
+):
+    settings = model.settings.motion_noise
+    alone, beside = (usual_noise_spread(model, mechanisms) for mechanisms in ([], [mechanism_class(name).at(values)]))
+    more = 0.0 if leaves_motion else settings.usual_spread_beside**2 - settings.usual_spread**2
+    assert beside**2 - alone**2 == pytest.approx(more, abs=2e-4)

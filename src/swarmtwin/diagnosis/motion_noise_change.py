@@ -7,9 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special, stats
 
-from swarmtwin.diagnosis.likelihood import SessionLikelihood
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.simulation.mechanism import Mechanism
+
+AFTER_MOTION = ("marker", "camera", "clock")
+"""Stages of the signal at which a vehicle has moved: what happens there changes nothing of how it does."""
 
 
 class MotionNoiseChange(NamedTuple):
@@ -52,9 +55,13 @@ def motion_noise_change(
 
 
 def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> float:
-    """Return the standard deviation of the log of the noise's factor between sessions in which it is no cause."""
+    """Return the standard deviation of the log of the noise's factor between sessions in which it is no cause.
+
+    Of causes that leave the motion as it is, or of which each command arrives or does not, that is as without causes.
+    """
     settings = model.settings.motion_noise
-    usual = settings.usual_spread_beside if mechanisms or model.strange else settings.usual_spread
+    moved = [one for one in mechanisms if one.stage not in AFTER_MOTION and not loses_commands([type(one)])]
+    usual = settings.usual_spread_beside if moved or model.strange else settings.usual_spread
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
     driven = model.simulated.numpy()

@@ -224,7 +224,8 @@ class MotionNoiseSettings(StrictModel):
 
     Attributes:
         usual_spread: standard deviation between sessions of one vehicle in which nothing is wrong.
-        usual_spread_beside: likewise of another vehicle, or beside other causes, whose form is never exact.
+        usual_spread_beside: likewise of another vehicle, or beside causes that change how vehicles move, whose form is
+            never exact.
         usual_spread_with_momentum: likewise of a simulation that goes on from its own velocity: what that gets wrong
             lasts for some periods, and is told from the noise of motion and camera only so well.
         growth_spread: likewise for each unit of the log by which vehicles are told to move less or more than in the
