@@ -150,7 +150,7 @@ def test_a_limit_needs_errors_that_fall_measurably_on_held_out_runs():
     def confirmed(size):
         error = noise * rng.normal(size=(600, 3))
         before, after = (
-            Errors(np.column_stack([np.hypot(one[:, 0], one[:, 1]), np.abs(one[:, 2])]), (), (), ())
+            Errors(np.column_stack([np.hypot(one[:, 0], one[:, 1]), np.abs(one[:, 2])]), (), (), (), ())
             for one in (error + size * change, error)
         )
         return gains(before, after, run, 400, rng).position_mm.low > 0

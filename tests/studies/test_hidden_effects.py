@@ -34,7 +34,11 @@ def formulas(results):
 
 def named(proportions):
     """Counts of all sessions, whichever vehicle drove."""
-    return {name: share.count for name, share in proportions.items() if name != "exact_of_known_vehicle"}
+    return {
+        name: share.count
+        for name, share in proportions.items()
+        if name not in ("exact_of_known_vehicle", "exact_above_limits")
+    }
 
 
 def test_planted_names_give_planted_rates():
