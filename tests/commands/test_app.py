@@ -131,7 +131,8 @@ def test_an_interrupted_command_leaves_nothing_and_the_next_one_works(recording,
     hold.write_text(
         "import sys, time\n"
         "import swarmtwin.transitions.preparing as preparing\n"
-        "def wait(*arguments):\n    print('waiting', flush=True)\n    time.sleep(30)\n"
+        "def wait(*arguments):\n    print('waiting', flush=True)\n"
+        "    for _ in range(300):\n        time.sleep(0.1)\n"  # one long sleep goes on if a signal comes just before
         "preparing.save_description = wait\n"
         "from swarmtwin.commands import main\nmain()\n"
     )
@@ -150,7 +151,9 @@ def test_an_interrupted_command_leaves_nothing_and_the_next_one_works(recording,
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_while_packages_are_imported_is_one_line(workplace, stop):
     """From the first line of ours on: an import may swallow the exception that Python makes of it."""
-    (workplace / "hydra.py").write_text("import time\ntry:\n    print('importing', flush=True)\n    time.sleep(20)\n")
+    (workplace / "hydra.py").write_text(
+        "import time\ntry:\n    print('importing', flush=True)\n    for _ in range(200):\n        time.sleep(0.1)\n"
+    )
     with (workplace / "hydra.py").open("a") as module:
         module.write("except BaseException:\n    raise ImportError('swallowed')\n")
     script = "import sys; sys.path.insert(0, ''); sys.argv = ['swarmtwin', 'train']\n"

@@ -34,7 +34,8 @@ def close_and_wait(self, *arguments):
     close_epoch(self, *arguments)
     if self.seed == 2 and len(self.errors) == 5:
         print(os.getpid(), flush=True)
-        time.sleep(120)
+        for _ in range(1200):  # one long sleep goes on if the signal comes just before it
+            time.sleep(0.1)
 
 EpochHistory.on_train_epoch_end = close_and_wait
 """
