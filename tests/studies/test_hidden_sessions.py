@@ -180,6 +180,18 @@ def test_a_patch_is_told_where_the_camera_shows_it(robots, robot):
     )
 
 
+@pytest.mark.usefixtures("few_trees")
+def test_a_patch_is_told_on_the_floor_by_who_names_what_the_camera_does_to_it():
+    about = {"names": ["camera_scale", "surface_patch"], "rises_percent": [30.0, 20.0]}
+    truth = record_session(Case(family="formulas", kind="two", robot="mgr", seed=3, **about, **SMALL)).truth
+    scale, patch = truth.effects
+    x_mm = truth.causes["surface_patch"]["x_mm"]
+    assert x_mm == pytest.approx(515 + scale["scale"] * (patch["x_mm"] - 515))
+    assert truth.causes_beside(["surface_patch"]) == truth.causes
+    told = truth.causes_beside(["surface_patch", "camera_scale"])["surface_patch"]
+    assert told == pytest.approx({key: value for key, value in patch.items() if key != "name"})
+
+
 def z_scores(filmed):
     """How many standard errors, with runs as blocks, residuals against exact means depend on this and that."""
     transitions = filmed.transitions

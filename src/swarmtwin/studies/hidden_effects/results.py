@@ -56,7 +56,8 @@ class Result(StrictModel):
     Attributes:
         case: what was asked for.
         effects: what was hidden, as `record` takes it: names and parameters.
-        true_causes: the causes that should be named, with what their parameters should be said to be.
+        true_causes: the causes that should be named, with what their parameters should be said to be by who names what
+            is named here (see `sessions.Truth`).
         rise_percent: by how much that raised a simulation's one-step error: see `sessions.Truth`.
         same_vehicle: whether the vehicle was the reference's.
         transitions: how many were measured.

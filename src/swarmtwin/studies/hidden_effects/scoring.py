@@ -84,6 +84,7 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Resul
         update={
             "verdict": said.verdict,
             "causes": said.causes,
+            "true_causes": truth.causes_beside([cause.name for cause in said.causes]),
             "depends_on": said.depends_on,
             "gained": held_out_gain(known, twin, extended, held_out),
             "times_limit": times_limit(truth.causes, said.detection_limits, transitions.robot, conditions, case.family),

@@ -1,7 +1,7 @@
 """The recordings of a case, and what only its stand-in knows: what hides, its clean twin, the least error there is."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -81,10 +81,14 @@ class Truth:
 
     @cached_property
     def causes(self) -> dict[str, dict[str, float]]:
-        """The causes that are to be named, with their parameters; none where the catalogue has no name.
+        """The causes that are to be named, by whoever names none of the camera: see `causes_beside`."""
+        return self.causes_beside(())
+
+    def causes_beside(self, named: Collection[str]) -> dict[str, dict[str, float]]:
+        """Return the causes that are to be named, with their parameters; none where the catalogue has no name.
 
         A clock that is never steady shows its usual spread and what was hidden together; where a patch is, is told as
-        the camera shows it.
+        the camera shows it, but for what is `named` as wrong with the camera, which is taken out of what it shows.
         """
         if self.case.kind == "outside":
             return {}
@@ -93,7 +97,10 @@ class Truth:
             usual = self.measured.footage.session.conditions.character.jitter
             causes["timing_jitter"]["spread"] = math.hypot(causes["timing_jitter"]["spread"], usual)
         if "surface_patch" in causes:
-            causes["surface_patch"] |= as_seen(causes["surface_patch"], self.measured.footage.session)
+            session = self.measured.footage.session
+            unknown = tuple(effect for effect in self.effects if effect["name"] not in named)
+            camera = replace(session, effects=made_effects(unknown, session))
+            causes["surface_patch"] |= as_seen(causes["surface_patch"], camera)
         return causes
 
 
