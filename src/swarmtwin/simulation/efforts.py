@@ -51,7 +51,10 @@ def effort_unit(robot: Robot) -> str:
 
 
 def slowed(twist: Tensor, factor: Tensor, track_mm: float) -> Tensor:
-    """Return the twists (N, 3) of vehicles that come `factor` (N or 1, 1) as far, or (…, 2) by left and right wheel."""
+    """Return the twists (N, 3) of vehicles that come `factor` as far, (N or 1, 1).
+
+    Or (…, 2) by left and right wheel, or (…, 3) by how far ahead, aside and around.
+    """
     if factor.shape[-1] == 2:
         return twist_of_wheels(wheel_travel(twist, track_mm) * factor, twist, track_mm)
     return twist * factor
@@ -61,7 +64,10 @@ def scaled_by_effort(twist: Tensor, factor: Tensor, moment: Moment) -> Tensor:
     """Return the twists (N, 3) of actuators that are `factor` (N or 1, 1), or (…, 2) left and right, as fast."""
     if factor.shape[-1] == 2:
         return slowed(twist, factor, moment.track_mm)
-    exponents = torch.tensor(moment.conditions.effort_exponents, dtype=twist.dtype)
-    if bool((exponents == 1).all()):
-        return slowed(twist, factor, moment.track_mm)
-    return twist * factor.clamp(min=1e-6) ** exponents
+    return slowed(twist, by_effort(factor, moment), moment.track_mm)
+
+
+def by_effort(factor: Tensor, moment: Moment) -> Tensor:
+    """Return by which factors (…, 3) motion ahead, aside and around changes if all efforts change by one (…, 1)."""
+    exponents = torch.tensor(moment.conditions.effort_exponents, dtype=factor.dtype)
+    return factor if bool((exponents == 1).all()) else factor.clamp(min=1e-6) ** exponents

@@ -25,6 +25,7 @@ from swarmtwin.simulation.conditions import SessionConditions
 
 Stage = Literal["link", "controller", "supply", "actuators", "ground", "body", "marker", "camera", "clock"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
+Slowed = Literal["vehicle", "wheels", "thrust"]
 
 
 class Parameter(NamedTuple):
@@ -331,9 +332,12 @@ class Mechanism(StrictModel, ABC):
         """Return the factor (N,) on how far the actuators bring vehicles at positions (N, 2); None: 1."""
         return None
 
-    def meets_each_wheel(self) -> bool:
-        """Say whether it is asked for the places of both wheels, each of which it slows by itself."""
-        return False
+    def what_traction_slows(self) -> Slowed:
+        """Say what a factor on traction slows: all of a vehicle's motion, each wheel where that is, or thrust.
+
+        Weaker thrust slows each part of the motion by the power with which that grows with effort.
+        """
+        return "vehicle"
 
     # body
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, rotate
 from swarmtwin.simulation.arcs import moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
-from swarmtwin.simulation.efforts import scaled_by_effort, slowed
+from swarmtwin.simulation.efforts import by_effort, scaled_by_effort, slowed
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
 from swarmtwin.simulation.mechanism import Mechanism, Moment
 
@@ -208,7 +208,7 @@ def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, mome
 
 
 def _tractions(mechanisms: Sequence[Mechanism], pose: Tensor, moment: Moment) -> Tensor:
-    """Return the factor (N, 1), or (N, 2) left and right, on how far mechanisms let vehicles at poses (N, 3) come."""
+    """Return the factor on how far mechanisms let vehicles at poses (N, 3) come, as `slowed` takes it."""
     factor = torch.ones(len(pose), 1, dtype=torch.float64)
     for mechanism in mechanisms:
         traction = _traction(mechanism, pose, moment)
@@ -217,10 +217,12 @@ def _tractions(mechanisms: Sequence[Mechanism], pose: Tensor, moment: Moment) ->
 
 
 def _traction(mechanism: Mechanism, pose: Tensor, moment: Moment) -> Tensor | None:
-    """Return the factor (N, 1), or (N, 2) left and right, on how far a mechanism lets vehicles at poses (N, 3) come."""
-    if not mechanism.meets_each_wheel():
+    """Return the factor on how far a mechanism lets vehicles at poses (N, 3) come, as `slowed` takes it."""
+    if (what := mechanism.what_traction_slows()) != "wheels":
         traction = mechanism.traction(pose[:, :2], moment)
-        return None if traction is None else traction[:, None]
+        if traction is None:
+            return None
+        return by_effort(traction[:, None], moment) if what == "thrust" else traction[:, None]
     half = torch.tensor([[0.0, moment.track_mm / 2]], dtype=pose.dtype).expand(len(pose), 2)
     aside = rotate(half, pose[:, 2])
     sides = [mechanism.traction(pose[:, :2] + side * aside, moment) for side in (1, -1)]

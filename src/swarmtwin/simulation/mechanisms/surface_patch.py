@@ -7,9 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Moment, Parameter
+from swarmtwin.simulation.local_traction import LocalTraction
+from swarmtwin.simulation.mechanism import LocalTractionScore, Moment, Parameter
 
 _STEPS = np.array([step for step in np.ndindex(3, 3, 3) if 0 < sum(one != 1 for one in step) < 3]) - 1.0
 
@@ -53,7 +54,7 @@ class _Disc(NamedTuple):
         return {"x_mm": x_mm, "y_mm": y_mm, "radius_mm": radius_mm, "loss": self.loss}
 
 
-class Config(Mechanism):
+class Config(LocalTraction):
     """On a disc the actuators bring the vehicle less far by `loss`; negative where the grip is better.
 
     Attributes:
@@ -61,14 +62,11 @@ class Config(Mechanism):
         y_mm: likewise.
         radius_mm: of it.
         loss: share of the way.
-        slows: the vehicle, where its place is on the disc, or each wheel that is.
     """
 
-    stage: ClassVar = "ground"
     words: ClassVar = "around x {x_mm}, y {y_mm}, within {radius_mm}, vehicles lose {loss} of their way"
     remedy: ClassVar = "clean or level that place, or keep the robots off it"
     parameters: ClassVar = {}
-    inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
     is_smooth: ClassVar = False
 
     name: Literal["surface_patch"] = "surface_patch"
@@ -76,12 +74,6 @@ class Config(Mechanism):
     y_mm: float
     radius_mm: float
     loss: float
-    slows: Literal["vehicle", "wheels"] = "vehicle"
-
-    @classmethod
-    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
-        """Return that which slows the vehicle as a whole, and for wheels that which slows each where it is."""
-        return (cls, cls.with_default("slows", "wheels")) if robot.actuation.kind == "wheel" else (cls,)
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
@@ -127,11 +119,3 @@ class Config(Mechanism):
         inside_mm = self.radius_mm - (position - centre).norm(dim=-1)
         soft_mm = 0.1 * moment.robot.largest_displacement.forward_mm
         return 1.0 - self.loss * (0.5 + inside_mm / soft_mm).clamp(0.0, 1.0)
-
-    def meets_each_wheel(self) -> bool:
-        """Say whether each wheel meets it by itself."""
-        return self.slows == "wheels"
-
-    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
-        """Look at the path in fifths of a period."""
-        return (0.2, 0.4, 0.6, 0.8)

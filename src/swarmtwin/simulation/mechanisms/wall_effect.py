@@ -6,35 +6,27 @@ from typing import ClassVar, Literal
 import torch
 from torch import Tensor
 
-from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
+from swarmtwin.simulation.local_traction import LocalTraction
+from swarmtwin.simulation.mechanism import Moment, Parameter
 
 
-class Config(Mechanism):
+class Config(LocalTraction):
     """The nearer the nearest wall, the less far actuators bring the vehicle: 1 − loss · exp(−distance / reach).
 
     Attributes:
         loss: share of the way, at the wall.
         reach_mm: distance over which it falls to a third.
-        slows: the vehicle, by its own distance, or each wheel by that of the wheel.
     """
 
-    stage: ClassVar = "ground"
     words: ClassVar = "near the walls (within {reach_mm}) vehicles lose up to {loss} of their way"
     remedy: ClassVar = "keep away from the walls, or clean the table's edge"
     parameters: ClassVar = {}
-    inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)
 
     name: Literal["wall_effect"] = "wall_effect"
     loss: float
     reach_mm: float
-    slows: Literal["vehicle", "wheels"] = "vehicle"
-
-    @classmethod
-    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
-        """Return that which slows the vehicle as a whole, and for wheels that which slows each where it is."""
-        return (cls, cls.with_default("slows", "wheels")) if robot.actuation.kind == "wheel" else (cls,)
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
@@ -50,11 +42,3 @@ class Config(Mechanism):
         """Weaken the drive near the walls."""
         distance_mm = moment.conditions.wall_distance_mm(position)
         return 1.0 - self.loss * torch.exp(-distance_mm / self.reach_mm)
-
-    def meets_each_wheel(self) -> bool:
-        """Say whether each wheel meets it by itself."""
-        return self.slows == "wheels"
-
-    def breakpoints(self, robot: Robot) -> tuple[float, ...]:
-        """Look at the path in fifths of a period."""
-        return (0.2, 0.4, 0.6, 0.8)
