@@ -331,6 +331,15 @@ def test_every_cause_of_the_catalogue_has_its_sentence(robots, name):
 
 
 @pytest.mark.parametrize(
+    ("form", "of"), [({}, "speed"), ({"acts_on": "speed"}, "speed"), ({"acts_on": "effort"}, "effort")]
+)
+def test_what_weakens_is_told_of_what_it_acts_on(form, of):
+    parameters = {name: Estimate(value=0.2, low=0.15, high=0.25, unit="") for name in ("loss", "shape")}
+    sag = DELAY.model_copy(update={"name": "battery_sag", "parameters": parameters, "form": form})
+    assert f"of their {of} by the session's end" in cause_words(sag)
+
+
+@pytest.mark.parametrize(
     ("gain", "ratio", "said"),
     [
         (0.922, 0.85, "because the left wheel runs at 0.85 of its speed – check its motor, gear and tyre."),

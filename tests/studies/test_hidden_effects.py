@@ -396,19 +396,23 @@ def test_several_effects_are_as_large_as_the_smallest_of_them_beside_its_limit(r
 
 
 @pytest.mark.parametrize(
-    ("family", "robot", "cause", "said", "is_same"),
+    ("family", "robot", "cause", "form", "said", "is_same"),
     [
-        ("formulas", "mgr", "actuator_asymmetry", {"ratio": 0.8}, True),
-        ("rigid_body", "mgr", "actuator_asymmetry", {"ratio": 0.8}, False),  # of voltage, told of speed
-        ("rigid_body", "mgr", "gain_change", {"gain": 0.8}, True),
-        ("formulas", "mur", "gain_change", {"gain": 0.8}, False),
-        ("formulas", "mur", "noise_change", {"factor": 2.0}, False),  # of eddies, told of all
-        ("formulas", "mgr", "noise_change", {"factor": 2.0}, True),
+        ("formulas", "mgr", "actuator_asymmetry", {}, {"ratio": 0.8}, True),
+        ("rigid_body", "mgr", "actuator_asymmetry", {}, {"ratio": 0.8}, False),  # of voltage, told of speed
+        ("rigid_body", "mgr", "gain_change", {"acts_on": "speed"}, {"gain": 0.8}, True),
+        ("rigid_body", "mgr", "battery_sag", {"acts_on": "speed"}, {"loss": 0.2}, False),
+        ("rigid_body", "mgr", "battery_sag", {"acts_on": "effort"}, {"loss": 0.2}, True),
+        ("rigid_body", "mur", "battery_sag", {"acts_on": "effort"}, {"shape": 2.0}, True),
+        ("formulas", "mur", "gain_change", {"acts_on": "effort"}, {"gain": 0.8}, False),  # of thrust
+        ("formulas", "mur", "gain_change", {}, {"gain": 0.8}, False),
+        ("formulas", "mur", "noise_change", {}, {"factor": 2.0}, False),  # of eddies, told of all
+        ("formulas", "mgr", "noise_change", {}, {"factor": 2.0}, True),
     ],
 )
-def test_what_is_told_in_another_unit_than_it_is_hidden_in_is_not_compared(family, robot, cause, said, is_same):
+def test_what_is_told_in_another_unit_than_it_is_hidden_in_is_not_compared(family, robot, cause, form, said, is_same):
     planted = result("one", cause, [cause], family=family, robot=robot)
     estimates = {name: Estimate(value=value, low=value, high=value, unit="") for name, value in said.items()}
-    causes = (planted.causes[0].model_copy(update={"parameters": estimates}),)
+    causes = (planted.causes[0].model_copy(update={"parameters": estimates, "form": form}),)
     planted = planted.model_copy(update={"true_causes": {cause: said}, "causes": causes})
     assert parameters_table([planted]).same_unit.tolist() == [is_same]

@@ -18,6 +18,7 @@ def reported_causes(explained: Explanation, rng: np.random.Generator) -> tuple[C
     total = sum(max(one, 1e-9) for one in nats.values())
     estimates = reported_parameters(explained.model, explained.best, rng)
     causes = []
+    forms = {mechanism.name: mechanism.form() for mechanism in explained.best.mechanisms}
     for name in explained.names:
         rivals = posterior.rivals(name, settings.rival_from)
         share = explained.share * max(nats[name], 0.0) / max(total, 1e-9)
@@ -25,6 +26,7 @@ def reported_causes(explained: Explanation, rng: np.random.Generator) -> tuple[C
             Cause(
                 name=name,
                 parameters=estimates[name],
+                form=forms[name],
                 confidence=posterior.probability(name),
                 rivals=rivals,
                 share_of_gap=float(np.clip(share, 0.0, 1.0)),

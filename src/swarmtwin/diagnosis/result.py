@@ -44,6 +44,7 @@ class Cause(StrictModel):
     Attributes:
         name: of the mechanism, one of the catalogue.
         parameters: by name.
+        form: what a cause of several forms acts on, in words, by the mechanism's fields.
         confidence: posterior probability that it is there, summed over all sets of causes.
         rivals: causes that share that probability with it, in sets without it.
         share_of_gap: of the squared error that can be explained at all, the part that this cause explains.
@@ -52,6 +53,7 @@ class Cause(StrictModel):
 
     name: str
     parameters: dict[str, Estimate]
+    form: dict[str, str] = Field(default_factory=dict)
     confidence: Share
     rivals: tuple[str, ...]
     share_of_gap: Share

@@ -272,6 +272,16 @@ class Mechanism(StrictModel, ABC):
         """Return its parameters' values by name."""
         return {name: value for name, value in self if isinstance(value, float | int)}
 
+    def form(self) -> dict[str, str]:
+        """Return which of its forms it takes: the fields that are words and no numbers."""
+        return {name: value for name, value in self if isinstance(value, str) and name != "name"}
+
+    @classmethod
+    def usual_form(cls) -> dict[str, str]:
+        """Return likewise the form that it takes where nothing else is said."""
+        defaults = {name: field.default for name, field in cls.model_fields.items() if name != "name"}
+        return {name: value for name, value in defaults.items() if isinstance(value, str)}
+
     def reported(self) -> dict[str, float]:
         """Return its parameters as a diagnosis reports them; the same as `values` unless said otherwise."""
         return self.values()

@@ -268,7 +268,8 @@ def odds_words(nats: float) -> str:
 def _told(cause: Cause, tell: Callable[[str, Estimate], str]) -> str:
     """Fill in a cause's words; what this robot does not have stays empty."""
     told = {name: tell(name, estimate) for name, estimate in cause.parameters.items()}
-    return mechanism_class(cause.name).words.format_map(defaultdict(str, told))
+    mechanism = mechanism_class(cause.name)
+    return mechanism.words.format_map(defaultdict(str, mechanism.usual_form() | cause.form | told))
 
 
 def _manner(name: str, estimate: Estimate) -> tuple[float, str, int]:

@@ -19,7 +19,7 @@ class Config(Mechanism):
     """
 
     stage: ClassVar = "supply"
-    words: ClassVar = "the actuators lose {loss} of their speed by the session's end"
+    words: ClassVar = "the actuators lose {loss} of their {acts_on} by the session's end"
     remedy: ClassVar = "charge or exchange the battery, or make sessions shorter"
     parameters: ClassVar = {
         "loss": Parameter(0.0, 0.95, 0.0, "", (0.1,), doubted_ends="none"),  # a flat battery: nothing is beyond

@@ -22,7 +22,7 @@ class Config(Mechanism):
     """
 
     stage: ClassVar = "supply"
-    words: ClassVar = "every actuator runs at {gain} times its speed"
+    words: ClassVar = "every actuator runs at {gain} times its {acts_on}"
     remedy: ClassVar = "check supply voltage, wheel diameter or propeller; or learn the simulation anew"
     parameters: ClassVar = {"gain": Parameter(0.2, 2.5, 1.0, "", (1.0,))}
 

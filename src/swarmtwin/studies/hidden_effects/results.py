@@ -16,6 +16,20 @@ from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.held_out_gain import HeldOutGain
 
 THRUST_ROBOTS = ("mur",)
+WEAKENED: Mapping[str, Mapping[tuple[str, str], str]] = {
+    "battery_sag": {
+        **{("formulas", "mgr"): "speed", ("unruly", "mgr"): "speed"},
+        **{("rigid_body", "mgr"): "effort", ("rigid_body", "mur"): "effort"},
+    },
+    "gain_change": {
+        **{("formulas", "mgr"): "speed", ("unruly", "mgr"): "speed"},
+        **{("rigid_body", "mgr"): "speed", ("rigid_body", "mur"): "effort"},
+    },
+}
+"""What stand-ins weaken, by cause, family and robot: speeds, or efforts, a motor's voltage or a stroke's size.
+
+The fin of the formulas has less thrust, which is neither.
+"""
 """Robots of the study whose actuators thrust."""
 
 
@@ -169,10 +183,16 @@ def _row_of_true_model(result: Result) -> dict[str, Any]:
     }
 
 
-def is_another_unit(family: str, robot: str, parameter: str) -> bool:
-    """Return whether a parameter is told in another unit than it is hidden in: see `parameters_table`."""
+def is_another_unit(family: str, robot: str, cause: str, parameter: str, told_of: str = "") -> bool:
+    """Return whether a parameter of a cause is told in another unit than it is hidden in: see `parameters_table`.
+
+    `told_of` is what a cause of several forms was found to act on: speed or effort; empty where nobody said.
+    """
+    hidden_in = WEAKENED.get(cause, {}).get((family, robot))
+    if hidden_in and told_of:
+        return told_of != hidden_in
     if robot in THRUST_ROBOTS:
-        return parameter in ("gain", "loss", "factor")
+        return parameter in ("gain", "loss", "shape", "factor")
     return family == "rigid_body" and parameter == "ratio"
 
 
@@ -182,9 +202,9 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     `error` is in the parameter's unit; `error_percent` is of the true value, NaN for angles and places, which have no
     size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
     `covered` says whether the 95 % interval holds the true value; `same_unit` whether what is said and what is hidden
-    are the same quantity at all. They are not where a fin or a propeller is weaker: a diagnosis says what share of the
-    speed ahead is left, a stand-in hides a share of the thrust or of its command, and only its physics tell the one of
-    the other. Nor are they where the eddies about a fin are stronger, beside which its strokes make motion random as
+    are the same quantity at all. They are not where a share of the speed is told and the stand-in hides one of what
+    actuators are given, or of a fin's thrust, or the other way round: only its physics tell the one of the other. Nor
+    are they where the eddies about a fin are stronger, beside which its strokes make motion random as
     before, nor where one motor of the rigid body has less voltage, of which its bearings' friction takes as much as
     before: a diagnosis says how random the motion is, and how fast a wheel turns.
     """
@@ -207,14 +227,14 @@ def true_model_parameters_table(results: Sequence[Result]) -> pd.DataFrame:
 
 def _with_errors(rows: list[dict[str, Any]], said: list[str]) -> pd.DataFrame:
     """Return a table of parameters with their errors in several measures."""
-    table = pd.DataFrame(rows, columns=["family", "robot", "kind", "seed", "cause", "name", "true", *said])
+    table = pd.DataFrame(rows, columns=["family", "robot", "kind", "seed", "cause", "told_of", "name", "true", *said])
     true = table.true.astype(float)
     has_size = ~table.name.isin(["angle_rad", "direction_rad", "x_mm", "y_mm", "forward_mm", "left_mm"]) & (true != 0)
     is_factor = table.name.isin(["gain", "scale", "ratio", "factor"])
     table["error"] = (table.value - true).abs()
     table["error_percent"] = 100 * (table.error / true.abs()).where(has_size)
     table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
-    about = zip(table.family, table.robot, table["name"], strict=True)
+    about = zip(table.family, table.robot, table.cause, table["name"], table.told_of, strict=True)
     table["same_unit"] = np.array([not is_another_unit(*one) for one in about], bool)
     return table
 
@@ -223,10 +243,12 @@ def _parameters(result: Result) -> Iterator[dict[str, Any]]:
     """Return what is said of the parameters of the causes that are true, beside what they are."""
     for cause in result.causes:
         said = {name: estimate.model_dump() for name, estimate in cause.parameters.items()}
-        yield from _beside_truth(result, cause.name, said)
+        yield from _beside_truth(result, cause.name, said, cause.form.get("acts_on", ""))
 
 
-def _beside_truth(result: Result, cause: str, said: Mapping[str, dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def _beside_truth(
+    result: Result, cause: str, said: Mapping[str, dict[str, Any]], told_of: str = ""
+) -> Iterator[dict[str, Any]]:
     """Return what is said of each parameter of a cause, its `value` among it, beside what is true of it."""
     case = result.case
     for name, estimate in said.items():
@@ -236,7 +258,7 @@ def _beside_truth(result: Result, cause: str, said: Mapping[str, dict[str, Any]]
         if name == "direction_rad":  # the same direction, as near to what is said as it can be told
             true = estimate["value"] + float(wrap_angle(np.array(true - estimate["value"])))
         about = {"family": case.family, "robot": case.robot, "kind": case.kind, "seed": case.seed}
-        yield {**about, "cause": cause, "name": name, "true": true, **estimate}
+        yield {**about, "cause": cause, "told_of": told_of, "name": name, "true": true, **estimate}
 
 
 def confidences_table(results: Sequence[Result]) -> pd.DataFrame:

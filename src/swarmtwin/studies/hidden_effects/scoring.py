@@ -138,7 +138,7 @@ def _times_limit(
     family: Family,
 ) -> float | None:
     limit = next((one for one in limits if one.cause == name), None)
-    if limit is None or limit.parameter not in true or is_another_unit(family, robot.name, limit.parameter):
+    if limit is None or limit.parameter not in true or is_another_unit(family, robot.name, name, limit.parameter):
         return None
     if limit.value is None:
         return 0.0
