@@ -69,11 +69,15 @@ def test_a_car_on_the_move_rolls_on_when_told_to_stop_and_then_stands(robots):
     assert abs(moved[3]) < 0.02
 
 
-def test_a_time_step_four_times_shorter_gives_nearly_the_same_motion(robots, monkeypatch):
+PLAY, BAD_FLOOR = {"name": "backlash", "travel_mm": 4.0}, {"name": "surface_patch", "radius_mm": 3000.0, "loss": 0.4}
+
+
+@pytest.mark.parametrize("effects", [(), (PLAY,), (BAD_FLOOR,), (PLAY, BAD_FLOOR)])
+def test_a_time_step_four_times_shorter_gives_nearly_the_same_motion(robots, monkeypatch, effects):
     plan = {"runs": 10, "steps": 5, "drive": np.random.default_rng(2).uniform(-120, 120, (50, 2))}
-    usual = drive(robots["mgr"], **plan)
+    usual = drive(robots["mgr"], *effects, **plan)
     monkeypatch.setattr(Car, "steps", 400)
-    fine = drive(robots["mgr"], **plan)
+    fine = drive(robots["mgr"], *effects, **plan)
     away = true_displacements(usual)[:, 0] - true_displacements(fine)[:, 0]
     assert np.abs(away[..., :2]).max() < 0.4
     assert np.abs(away[..., 2]).max() < 0.012

@@ -39,6 +39,27 @@ def test_clean_drives_make_a_recording_nearly_all_of_which_is_usable(mur):
     assert (footage.state[0] < 2000).all()
 
 
+def test_a_time_step_four_times_shorter_gives_nearly_the_same_motion(mur, monkeypatch):
+    commands = np.random.default_rng(2).uniform(mur.command_low, mur.command_high, (50, 3))
+    plan = {"runs": 10, "steps": 5, "drive": commands}
+    usual = true_displacements(drive(mur, CALM, **plan))
+    monkeypatch.setattr(Swimmer, "steps", 640)
+    away = (usual - true_displacements(drive(mur, CALM, **plan)))[:, 0]
+    assert np.sqrt((away[..., :2] ** 2).mean()) < 0.5
+    assert np.sqrt((away[..., 2] ** 2).mean()) < 0.005
+
+
+def test_a_swimmer_that_is_put_down_lies_still_until_its_fin_beats(mur):
+    """Whoever it is: neither the walls nor a servo that throws a fin to its trim give it a push."""
+    units = tuple("123456789")
+    driven = drive(mur, CALM, vehicles=units, runs=3, steps=2, drive=np.array([[0.0, 0.0, 6.0]]))
+    clear = (driven.state[:2].min(axis=(0, 2)) > 150.0) & (driven.state[1].max(axis=1) < 850.0)
+    assert clear.sum() > 10
+    moved = true_displacements(driven)[:, 0][clear]
+    assert np.abs(moved[:, :2]).max() < 0.2
+    assert np.abs(moved[:, 2]).max() < 0.002
+
+
 def test_larger_strokes_and_faster_ones_swim_faster(mur):
     slow, large, fast = (steady(mur, (0, amplitude, omega))[0] for amplitude, omega in ((20, 4), (50, 4), (50, 8)))
     assert slow < 5

@@ -29,7 +29,9 @@ class Car(Machine):
         motor_constant: V·s/rad, equally N·m/A, at the motor's shaft.
         resistance: of a motor, Ω.
         gear: turns of the motor to one of the wheel.
-        rotor_inertia: of a motor, kg·m².
+        rotor_inertia: of a motor, kg·m², with the gear.
+        last_stage_inertia: of the part of it behind the play, at the wheel: a wheel alone, far lighter, would be stopped
+            within a time step by a bad floor, and its tyre would slide.
         wheel_radius: m.
         track: between the wheels' contacts, m.
         mass: of the body without wheels, kg.
@@ -60,6 +62,7 @@ class Car(Machine):
     resistance = 43.0
     gear = 50.0
     rotor_inertia = 3.5e-8
+    last_stage_inertia = 1e-5
     wheel_radius = 0.016
     track = 0.070
     mass = 0.18
@@ -126,10 +129,12 @@ class Car(Machine):
         gear_friction, wheel_friction = self.gear_friction * of["friction"], self.wheel_friction * of["friction"]
         inertia = self.rotor_inertia * float(self.factor["rotor"][vehicle])
         inertia += self.conditions.lag_s * motor_constant**2 / self.resistance
-        gear, play = "", ""
+        gear, play, last_stage = "", "", 0.0
         driven = f"{side}_gear" if self.conditions.backlash else side
         if self.conditions.backlash:
             half_rad = self.conditions.backlash / 2000 / radius
+            last_stage = self.last_stage_inertia
+            inertia -= last_stage / self.gear**2
             gear = f"""
             <body pos="0 {0.7 * left} {radius}">
               <inertial pos="0 0 0" mass="0.001" diaginertia="1e-8 1e-8 1e-8"/>
@@ -143,7 +148,8 @@ class Car(Machine):
             wheel_friction += gear_friction
         wheel = f"""
         <body pos="0 {left} {radius}">
-          <joint name="{side}" axis="0 1 0" frictionloss="{wheel_friction}" damping="1e-5"/>
+          <joint name="{side}" axis="0 1 0" frictionloss="{wheel_friction}" damping="1e-5"
+                 armature="{last_stage}"/>
           <geom type="ellipsoid" size="{radius} 0.004 {radius}" mass="0.008" priority="1"
                 friction="{self.tyre_grip} 0 0"/>
         </body>"""

@@ -122,6 +122,10 @@ class Machine(ABC):
     def describe(self, vehicle: int) -> str:
         """Return the MJCF description of one of the V units, in SI units, time step `time_step_s`."""
 
+    def resting_control(self, control: np.ndarray) -> np.ndarray:
+        """Return the engine's controls (V, controls) of units that stand; `control` are those of nothing."""
+        return control
+
     @abstractmethod
     def at_pose(self, pose: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Return joint positions (R, V, positions), at rest at `position`, brought to poses (R, V, 3)."""
@@ -161,8 +165,11 @@ class Machine(ABC):
         """
         runs, units = pose.shape[:2]
         models = [self._engine.MjModel.from_xml_string(self.describe(vehicle)) for vehicle in range(units)]
-        settled = self._batch(models)
+        settled, arena = self._batch(models), self.conditions.robot.arena_mm
+        settled.bind("qpos")[:, :2] = (arena.low_mm + arena.high_mm) / 2000  # away from walls, which would push it
         settled.bind("qvel")[:, :2] = np.array(self.carrying_mm_s) / 1000
+        control = settled.bind("ctrl")
+        control[:] = self.resting_control(control)
         settled.rollout(self.settling_steps)
         self._settled = settled.bind("qpos").copy(), settled.bind("qvel").copy()
         self._models = models * runs

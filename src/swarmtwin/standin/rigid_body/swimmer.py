@@ -44,6 +44,7 @@ class Swimmer(Machine):
     steps = 160
     pieces = 16
     noises = 3
+    settling_steps = 800
     camera_noise = (1.3, 1.3, 0.012)
 
     hull = (0.0855, 0.053, 0.0162)
@@ -151,6 +152,18 @@ class Swimmer(Machine):
         self._phase_rad[runs] = 0.0
         return super().put_back(runs, pose)
 
+    @property
+    def _trim_rad(self) -> np.ndarray:
+        """Angle of each fin that is told to be straight, rad, (V,)."""
+        trim_rad: np.ndarray = self.factor["trim"] - 1.0 + self.conditions.trim_rad
+        return trim_rad
+
+    def resting_control(self, control: np.ndarray) -> np.ndarray:
+        """Hold the fins straight: a servo that is switched on with the fin elsewhere throws it there."""
+        resting = control.copy()
+        resting[:, 0] = self._trim_rad
+        return resting
+
     def at_pose(self, pose: np.ndarray, position: np.ndarray) -> np.ndarray:
         """Shift and turn the hull; the fin keeps its angles."""
         return np.concatenate([pose[..., :2] / 1000, pose[..., 2:], position[..., 3:]], axis=-1)
@@ -173,7 +186,7 @@ class Swimmer(Machine):
         control[..., 1:] = np.moveaxis(forces, 0, -1)[..., None, :]
         step_s = moment.piece_s / steps
         settling = 1.0 - np.exp(-step_s / (self.setting_s + self.conditions.lag_s))
-        trim_rad = self.factor["trim"] - 1.0 + self.conditions.trim_rad
+        trim_rad = self._trim_rad
         for step in range(steps):
             self._setting = self._setting + (target[:, step] - self._setting) * settling
             mean_rad, amplitude_rad, frequency_rad_s = self._setting
