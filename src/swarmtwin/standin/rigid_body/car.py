@@ -30,8 +30,8 @@ class Car(Machine):
         resistance: of a motor, Ω.
         gear: turns of the motor to one of the wheel.
         rotor_inertia: of a motor, kg·m², with the gear.
-        last_stage_inertia: of the part of it behind the play, at the wheel: a wheel alone, far lighter, would be stopped
-            within a time step by a bad floor, and its tyre would slide.
+        last_stage_inertia: of the part of it behind the play, at the wheel: a wheel alone, far lighter, would stand
+            within a time step on a bad floor, and its tyre would slide.
         wheel_radius: m.
         track: between the wheels' contacts, m.
         mass: of the body without wheels, kg.
