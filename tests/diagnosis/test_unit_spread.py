@@ -12,7 +12,7 @@ from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
-from swarmtwin.diagnosis.own_units import unit_differences
+from swarmtwin.diagnosis.own_units import unit_differences, with_own_unit
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
 from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
@@ -158,6 +158,24 @@ def test_what_is_left_of_a_strange_unit_is_noise(robots):
     for axis in (0, 2):
         assert abs(np.corrcoef(residual[:, axis], size[:, axis])[0, 1]) < 0.03
     np.testing.assert_allclose(residual.std(axis=0), 1.0, atol=0.04)
+
+
+def test_a_strange_unit_goes_by_one_factor_and_turns_by_another(robots):
+    """As one of another track does, or one that a camera of another scale sees."""
+
+    def moved(moment):
+        return exp_map(moment.way * torch.tensor([0.85, 1.0, 1.06]))
+
+    model, alone = (model_of(robots["mgr"], moved, "2", unit_spread=spread) for spread in (None, 0.0))
+    gain, askew = with_own_unit((), model, alone)
+    assert (gain.name, askew.name) == ("gain_change", "actuator_asymmetry")
+    assert gain.gain == pytest.approx(0.85, abs=0.005)
+    assert gain.turning == pytest.approx(1.06, abs=0.005)
+    assert askew.ratio == pytest.approx(1.0, abs=0.005)
+    again = mechanism_class("gain_change")(**gain.model_dump())
+    torch.testing.assert_close(again.supply_gain(model.predictor.moment()), gain.supply_gain(model.predictor.moment()))
+    known = model_of(robots["mgr"], moved, "1")
+    assert with_own_unit((), known, known) == ()
 
 
 def test_a_delay_is_no_difference_of_units(robots):

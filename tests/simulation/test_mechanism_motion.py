@@ -204,6 +204,20 @@ def test_half_the_gain_is_half_the_way_and_thrust_goes_by_its_exponents(robots):
         torch.testing.assert_close(log_map(weaker.predict(situation)), expected)
 
 
+def test_a_unit_may_turn_by_another_factor_than_it_goes(robots):
+    for name, exponents in (("mgr", (1, 1, 1)), ("mur", (1.3, 1.9, 1.6))):
+        robot = robots[name]
+        situation = situation_of(robot, np.random.default_rng(10))
+        unit = simulation_with(
+            robot,
+            conditions=conditions_of(robot, effort_exponents=exponents),
+            gain_change={"gain": 0.5, "turning": 1.2},
+        )
+        ahead, aside = 0.5 ** torch.tensor(exponents[:2], dtype=torch.float64)
+        expected = log_map(ExactDynamics(robot).predict(situation)) * torch.stack([ahead, aside, torch.tensor(1.2)])
+        torch.testing.assert_close(log_map(unit.predict(situation)), expected)
+
+
 def test_asymmetry_keeps_the_geometric_mean_of_the_wheels(robots):
     robot = robots["mgr"]
     situation = situation_of(robot, np.random.default_rng(11))

@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.gains import Errors, Gains, gain_by_loss, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
 from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.own_units import with_own_unit
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.recordings.recording import Recording, Track
-from swarmtwin.simulation.mechanism import Mechanism, offered
 from swarmtwin.simulation.mechanisms import command_loss, noise_change
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.simulation import Simulation
@@ -130,7 +129,15 @@ def _extended(reference: Reference, simulation: Simulation, explained: Explanati
     """Return the simulation with what was found, mechanisms or a learned residual; None where nothing is wrong."""
     if explained.verdict == "no_gap":
         return None
-    mechanisms = _with_own_unit(reference, explained) if explained.mechanisms else ()
+    mechanisms = explained.mechanisms
+    if mechanisms:
+        alone = SessionLikelihood(
+            *(reference.base, reference.noise, explained.model.session),
+            unit_spread=0.0,
+            discrepancy=reference.discrepancy,
+            settings=reference.settings,
+        )
+        mechanisms = with_own_unit(mechanisms, explained.model, alone)
     if explained.names_motion_noise:
         mechanisms = (*mechanisms, noise_change.Config(factor=explained.motion_noise.factor))
     residual = None
@@ -149,29 +156,3 @@ def _extended(reference: Reference, simulation: Simulation, explained: Explanati
             seed,
         )
     return Simulation(simulation.dynamics, mechanisms, simulation.conditions, residual)
-
-
-def _with_own_unit(reference: Reference, explained: Explanation) -> tuple[Mechanism, ...]:
-    """Return the causes, and beside them what is a vehicle's own by fabrication, where the reference does not know it.
-
-    That is no cause, but without it the extended simulation would be one of another vehicle.
-    """
-    model, named = explained.model, explained.mechanisms
-    if len(model.strange) != 1 or len(model.session.transitions.vehicles) != 1:
-        return named
-    known = {one.name for one in named}
-    kinds = {name: kind for name, kind in offered(model.robot, model.session.conditions).items() if name not in known}
-    own = [
-        kinds[name].at(_doing_nothing(kinds[name], model))
-        for name in ("gain_change", "actuator_asymmetry")
-        if name in kinds
-    ]
-    alone = SessionLikelihood(
-        reference.base, reference.noise, model.session, (), 0.0, reference.discrepancy, reference.settings
-    )
-    return estimate(alone, [*named, *own]).mechanisms
-
-
-def _doing_nothing(kind: type[Mechanism], model: SessionLikelihood) -> dict[str, float]:
-    parameters = kind.parameters_of(model.robot, model.session.conditions)
-    return {name: one.null_value for name, one in parameters.items() if one.null_value is not None}

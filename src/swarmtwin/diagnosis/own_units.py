@@ -1,14 +1,18 @@
 """Step 4. What vehicles that the reference does not know do otherwise by fabrication: it is told, and no gap."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
 from swarmtwin.diagnosis.result import Estimate, UnitDifference
-from swarmtwin.simulation.mechanism import Mechanism
+from swarmtwin.robot import Robot
+from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
+from swarmtwin.simulation.mechanisms import gain_change
 
 
 def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> tuple[UnitDifference, ...]:
@@ -37,3 +41,42 @@ def _factor(effects: RandomEffects, sizes: np.ndarray, directions: np.ndarray, m
     value = 1.0 + float(share @ sizes[:count])
     half = 1.96 * math.sqrt(float(share @ effects.inverse[:count, :count] @ share))
     return Estimate(value=value, low=value - half, high=value + half, unit="")
+
+
+class OwnGain(gain_change.Config):
+    """What a unit does faster or slower by fabrication: it goes by one factor and turns by another."""
+
+    @classmethod
+    def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
+        """Return both factors."""
+        gain = cls.parameters["gain"]
+        return {"gain": gain, "turning": gain}
+
+
+def with_own_unit(
+    causes: tuple[Mechanism, ...], model: SessionLikelihood, alone: SessionLikelihood
+) -> tuple[Mechanism, ...]:
+    """Return causes, and beside them what a vehicle does otherwise by fabrication, if the reference does not know it.
+
+    That is no cause, but without it a simulation extended by them would be one of another vehicle.
+
+    Args:
+        causes: with values from which they are estimated anew.
+        model: of the session.
+        alone: of the same session, no unit expected to differ.
+    """
+    if len(model.strange) != 1 or len(model.session.transitions.vehicles) != 1:
+        return causes
+    kinds = offered(model.robot, model.session.conditions) | {"gain_change": OwnGain}
+    known = {one.name for one in causes}
+    own = [
+        kinds[name].at(_doing_nothing(kinds[name], model))
+        for name in ("gain_change", "actuator_asymmetry")
+        if name in kinds and name not in known
+    ]
+    return estimate(alone, [*causes, *own]).mechanisms
+
+
+def _doing_nothing(kind: type[Mechanism], model: SessionLikelihood) -> dict[str, float]:
+    parameters = kind.parameters_of(model.robot, model.session.conditions)
+    return {name: one.null_value for name, one in parameters.items() if one.null_value is not None}

@@ -61,8 +61,8 @@ def slowed(twist: Tensor, factor: Tensor, track_mm: float) -> Tensor:
 
 
 def scaled_by_effort(twist: Tensor, factor: Tensor, moment: Moment) -> Tensor:
-    """Return the twists (N, 3) of actuators that are `factor` (N or 1, 1), or (…, 2) left and right, as fast."""
-    if factor.shape[-1] == 2:
+    """Return the twists (N, 3) of actuators that are `factor` (N or 1, 1) as fast; (…, 2) and (…, 3) as in `slowed`."""
+    if factor.shape[-1] > 1:
         return slowed(twist, factor, moment.track_mm)
     return slowed(twist, by_effort(factor, moment), moment.track_mm)
 

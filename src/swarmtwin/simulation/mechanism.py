@@ -309,7 +309,7 @@ class Mechanism(StrictModel, ABC):
         return command
 
     def supply_gain(self, moment: Moment) -> Tensor | None:
-        """Return the factor on the actuators' speed, (N or 1, 1), or (N or 1, 2) for left and right; None: 1."""
+        """Return the factor on the actuators' speed, (N or 1, 1), as `efforts.scaled_by_effort` takes it; None: 1."""
         return None
 
     def added_lag_s(self) -> float:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from swarmtwin.robot import Robot
-from swarmtwin.simulation.efforts import change_effort
+from swarmtwin.simulation.efforts import by_effort, change_effort
 from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
@@ -19,6 +19,7 @@ class Config(Mechanism):
     Attributes:
         gain: the factor.
         acts_on: what it multiplies.
+        turning: the factor on how fast a vehicle turns, where it is another one, as a unit's own; not searched for.
     """
 
     stage: ClassVar = "supply"
@@ -29,6 +30,7 @@ class Config(Mechanism):
     name: Literal["gain_change"] = "gain_change"
     gain: float
     acts_on: Literal["speed", "effort"] = "speed"
+    turning: float | None = None
 
     @classmethod
     def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
@@ -43,4 +45,10 @@ class Config(Mechanism):
 
     def supply_gain(self, moment: Moment) -> Tensor | None:
         """Return the gain of all actuators, if it acts on their speed."""
-        return torch.full((1, 1), self.gain, dtype=torch.float64) if self.acts_on == "speed" else None
+        if self.acts_on == "effort":
+            return None
+        gain = torch.full((1, 1), self.gain, dtype=torch.float64)
+        if self.turning is None:
+            return gain
+        ahead, aside, _ = by_effort(gain, moment).expand(1, 3).unbind(dim=-1)
+        return torch.stack([ahead, aside, torch.full_like(ahead, self.turning)], dim=-1)
