@@ -267,6 +267,19 @@ def test_play_is_lost_at_a_reversal_and_only_there(robots):
     assert lost == pytest.approx([0, -4, 4, 0, 0])
 
 
+@pytest.mark.parametrize(("travel_mm", "rolls_on_mm"), [(4.0, 8 * (28 / 50) ** 2), (2.0, 2.0)])
+def test_a_wheel_whose_motor_stops_rolls_on_into_the_play(robots, travel_mm, rolls_on_mm):
+    """From 28 mm a period, where it rolls on 8 mm from the largest speed of 50; what it rolls on is not lost later."""
+    robot = robots["mgr"]
+    pwm = torch.tensor([[80, 80, 0], [80, 0, -80], [80, 0, 80], [80, 80, 80]], dtype=torch.float64)
+    earlier, previous, command = (pwm[:, [column, column]] for column in range(3))
+    changes = {"command": command, "previous_command": previous, "earlier_command": earlier}
+    situation = situation_of(robot, np.random.default_rng(15), count=4, **changes)
+    measured, simulated = moved(robot, "backlash", situation, travel_mm=travel_mm, coasting_mm=8.0)
+    moved_on = (measured - simulated)[:, 0].tolist()
+    assert moved_on == pytest.approx([rolls_on_mm, travel_mm - rolls_on_mm, -rolls_on_mm, 0.0], abs=0.02)
+
+
 def test_a_battery_loses_nothing_at_first_and_its_loss_in_the_end(robots):
     robot = robots["mgr"]
     elapsed_s = torch.tensor([0.0, 250.0, 1000.0])

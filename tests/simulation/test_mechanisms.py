@@ -134,7 +134,7 @@ def test_what_makes_no_sense_for_a_robot_is_not_offered(robots):
 
 def test_parameters_are_those_of_the_actuator(robots):
     backlash, asymmetry = mechanism_class("backlash"), mechanism_class("actuator_asymmetry")
-    assert set(backlash.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"travel_mm"}
+    assert set(backlash.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"travel_mm", "coasting_mm"}
     fin = backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))
     assert set(fin) == {"travel_rad", "missing", "servo_rad_s"}
     lag = mechanism_class("actuator_lag")

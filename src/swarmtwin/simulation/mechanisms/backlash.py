@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
+import torch
 from torch import Tensor
 
 from swarmtwin.robot import Robot, SituationPart
@@ -15,11 +16,14 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 class Config(Mechanism):
     """A gear has play, which is taken up anew after each reversal.
 
-    A wheel carries on which side the play lies. A fin that beats to and fro takes it up in each stroke: up to half of
+    A wheel carries on which side the play lies. While that sets it free it rolls on, ever slower, as friction lets it:
+    into the play as well, when its motor stops. A fin that beats to and fro takes it up in each stroke: up to half of
     it is missing from the amplitude, and another angle is steered to when the servo has taken it up.
 
     Attributes:
         travel_mm: of wheels, at the rim.
+        coasting_mm: how far a free wheel rolls on from the robot's largest speed, from any other in proportion to its
+            square; None: it stands at once.
         travel_rad: of a fin's joint.
         missing: share of half of it that is missing from a fin's amplitude; None: all.
         servo_rad_s: speed at which a fin's servo takes it up, sold with 0.05 to 0.26 s for 60 degrees; None: at once.
@@ -34,6 +38,7 @@ class Config(Mechanism):
 
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None
+    coasting_mm: float | None = None
     travel_rad: float | None = None
     missing: float | None = None
     servo_rad_s: float | None = None
@@ -50,7 +55,10 @@ class Config(Mechanism):
         """Give the play in the unit of what has it."""
         if robot.actuation.kind == "wheel":
             way = robot.largest_displacement.forward_mm
-            return {"travel_mm": Parameter(0.0, 0.75 * way, 0.0, "mm", (0.025 * way, 0.1 * way), 0.005 * way)}
+            return {
+                "travel_mm": Parameter(0.0, 0.75 * way, 0.0, "mm", (0.025 * way, 0.1 * way), 0.005 * way),
+                "coasting_mm": Parameter(0.0, 0.5 * way, None, "mm", (0.0, 0.15 * way), 0.01 * way, "none"),
+            }
         efforts = [robot.command[name] for name in robot.actuation.effort]
         if not efforts or efforts[0].unit != "deg":
             return {}
@@ -80,19 +88,36 @@ class Config(Mechanism):
         return changed
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
-        """Return how much of its play each wheel has taken up ahead, (N, 2) mm: in the middle where it stood."""
+        """Return how much of its play each wheel has taken up ahead, mm, and how fast it rolls, mm a period, (N, 4).
+
+        The play of one that stood is in the middle.
+        """
         if self.travel_mm is None:
             return None
         rolled = wheel_travel(twist, moment.track_mm)
-        return (rolled + self.travel_mm / 2).clamp(0.0, self.travel_mm)
+        return torch.cat([(rolled + self.travel_mm / 2).clamp(0.0, self.travel_mm), rolled], dim=-1)
 
     def actuator_response(self, twist: Tensor, memory: Tensor, share: float, moment: Moment) -> tuple[Tensor, Tensor]:
-        """Let the motors of wheels take up their play first."""
+        """Let the motors of wheels take up their play first, in which the wheels roll on."""
         assert self.travel_mm is not None
-        turned = wheel_travel(twist, moment.track_mm)
-        taken_up = (memory + turned * share).clamp(0.0, self.travel_mm)
-        rolled = turned - (taken_up - memory) / share
-        return twist_of_wheels(rolled, twist, moment.track_mm), taken_up
+        turned, (ahead, speed) = wheel_travel(twist, moment.track_mm), memory.split(2, dim=-1)
+        rolls_on, at_last = self._rolling_on(speed, share, moment)
+        faster = turned - rolls_on
+        to_go = torch.where(faster > 0, self.travel_mm - ahead, ahead)
+        in_play = (to_go / faster.abs().clamp(min=1e-9)).clamp(max=share)
+        taken_up = (ahead + faster * in_play).clamp(0.0, self.travel_mm)
+        rolled = turned - (taken_up - ahead) / share
+        memory = torch.cat([taken_up, torch.where(in_play < share, turned, at_last)], dim=-1)
+        return twist_of_wheels(rolled, twist, moment.track_mm), memory
+
+    def _rolling_on(self, speed: Tensor, share: float, moment: Moment) -> tuple[Tensor, Tensor]:
+        """Return how fast free wheels roll over a share of a period, mm a period: on average, and at last."""
+        if not self.coasting_mm:
+            return torch.zeros_like(speed), torch.zeros_like(speed)
+        slower = moment.robot.largest_displacement.forward_mm**2 / (2 * self.coasting_mm) * share
+        rolls_for = (speed.abs() / slower).clamp(max=1.0)  # of the share
+        on_average = (speed.abs() - slower * rolls_for / 2) * rolls_for
+        return speed.sign() * on_average, speed.sign() * (speed.abs() - slower).clamp(min=0.0)
 
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
         """Look at wheels in eighths of a period: travel is lost at its beginning."""
