@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnosis_factories import made_result, made_session
+from diagnosis_factories import DELAY, made_result, made_session
 
+from swarmtwin.diagnosis.diagnose import read_off_clock
 from swarmtwin.diagnosis.gains import Errors, gain_by_loss, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.open_loop_pieces import pieces
 from swarmtwin.diagnosis.reference import Reference
@@ -15,6 +16,7 @@ from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
+from swarmtwin.simulation.mechanism import mechanism_class
 from swarmtwin.simulation.mechanisms import command_loss
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.standin.session import StandInSession
@@ -172,6 +174,15 @@ def test_lost_commands_of_another_vehicle_are_confirmed_by_likelihood():
     assert not_confirmed(gain, BETTER, immaterial=0.01, moves=False) is None
     assert not_confirmed(gain, NEITHER, immaterial=0.01, moves=False) == "they are not measurably more likely with it"
     assert "neither position nor orientation" in not_confirmed(gain, BETTER, immaterial=0.01)
+
+
+def test_what_the_clock_shows_is_named_whatever_an_extension_by_it_is_worth():
+    kinds = mechanism_class("timing_jitter"), mechanism_class("command_delay")
+    on_the_clock = SimpleNamespace(read_off_clock=lambda kind: {"spread": 0.1} if kind is kinds[0] else {})
+    explained = SimpleNamespace(mechanisms=(kinds[0](spread=0.1), kinds[1](delay_s=0.15)), model=on_the_clock)
+    jitter = DELAY.model_copy(update={"name": "timing_jitter"})
+    assert read_off_clock(explained, [DELAY, jitter]) == (jitter,)
+    assert read_off_clock(explained, [DELAY]) == ()
 
 
 def test_more_random_motion_is_judged_beside_what_the_reference_s_own_motion_shows():

@@ -236,6 +236,11 @@ OWN_UNIT = UnitDifference(
             {"causes": (), "not_confirmed": "held-out runs do not confirm x"},
             "What was found is not kept: held-out runs do not confirm x.",
         ),
+        (
+            "unexplained",
+            {"not_confirmed": "held-out runs do not confirm x"},
+            "held-out runs do not show that this is why – look for what changed",
+        ),
     ],
 )
 def test_every_verdict_has_its_page_and_loads_nothing(tmp_path, verdict, changes, sentence):

@@ -25,7 +25,7 @@ from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.estimation import Progress
-from swarmtwin.diagnosis.explanation import explanation, left_by_nothing
+from swarmtwin.diagnosis.explanation import Explanation, explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.next_recording import next_recording
@@ -88,7 +88,7 @@ def diagnose(
     plan, drive = next_recording(explained, limits, seed)
     result = DiagnosisResult(
         verdict="unexplained" if objection else explained.verdict,
-        causes=() if objection else named,
+        causes=read_off_clock(explained, named) if objection else named,
         depends_on=tuple(test.part for test in dependences if test.found) if explained.verdict != "no_gap" else (),
         gain=judged.gain,
         next_recording=None if objection else plan,
@@ -195,6 +195,12 @@ def errors_of(reference: Reference) -> ReferenceErrors:
     """Return what the reference's own errors show; of a long one so many transitions as are searched of a session."""
     most = reference.settings.search.most_transitions
     return ReferenceErrors(lambda: reference.own_likelihood(most), are_gap=reference.discrepancy is None)
+
+
+def read_off_clock(explained: Explanation, named: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Return the causes that the clock itself shows, whatever an extension by them is worth."""
+    shown = {one.name for one in explained.mechanisms if explained.model.read_off_clock(type(one))}
+    return tuple(cause for cause in named if cause.name in shown)
 
 
 def _with_names(objection: str, causes: Sequence[Cause]) -> str:

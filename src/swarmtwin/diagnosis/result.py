@@ -232,8 +232,8 @@ class DiagnosisResult(StrictModel):
         transitions: measured transitions: used, set aside because the reference never saw such commands; rows left out
             of a recording that is longer than what is compared.
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
-        not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named. Null
-            where they do, or where there is none.
+        not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named but
+            what the clock itself shows. Null where they do, or where there is none.
         units: what vehicles that the reference does not know do otherwise by fabrication. Empty in older files.
         detection_limits: for each cause, the smallest that the session would have shown.
         posterior: the leading sets of causes, the most probable first; that of no cause is among them. A changed noise

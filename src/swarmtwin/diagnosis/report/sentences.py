@@ -125,6 +125,11 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
     because = enumeration(found, "; ", "; and because ")
     if diagnosis.verdict == "explained":
         return f"The robot departs from the simulation because {because}."
+    if diagnosis.causes and diagnosis.not_confirmed:
+        return (
+            f"The robot departs from the simulation, and {because}; held-out runs do not show that this is why"
+            f"{DASH}{_look_at(diagnosis)}."
+        )
     if diagnosis.causes:
         return (
             f"The robot departs from the simulation, partly because {because}; something else is wrong that has no "
