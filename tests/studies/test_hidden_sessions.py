@@ -86,6 +86,7 @@ def test_effects_that_make_the_rigid_body_unstable_together_are_halved_until_the
 
     def sized(name, rise_percent, *others):
         asked.append(rise_percent)
+        assert others[-1] == rise_percent / 40.0  # of the largest
         return {"name": name, "gain": 1.0 + rise_percent / 100.0}
 
     monkeypatch.setattr(sessions, "_film", unstable)

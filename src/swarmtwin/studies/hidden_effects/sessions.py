@@ -182,7 +182,7 @@ def _film_with_effects(
 ) -> tuple[tuple[dict[str, Any], ...], FilmedSession]:
     """Drive and film a session with the effects of a case, each as large as asked for; return them and what was filmed.
 
-    Of several that together make the rigid body unstable, each raises the error by half as much, and so on.
+    Where they make the rigid body unstable, each raises the error by half as much, and is half as large at most.
     """
     share = 1.0
     while True:
@@ -201,15 +201,21 @@ def _sized_effects(
 ) -> tuple[dict[str, Any], ...]:
     """Return the effects of a case, each so large that alone it raises the error by that share of what is asked for."""
     return tuple(
-        sized_effect(name, share * rise, case, session, simulation)
+        sized_effect(name, share * rise, case, session, simulation, share)
         for name, rise in zip(case.names, case.rises_percent, strict=True)
     )
 
 
 def sized_effect(
-    name: str, wanted_percent: float, case: Case, session: StandInSession, simulation: PlainSimulation, runs: int = 30
+    name: str,
+    wanted_percent: float,
+    case: Case,
+    session: StandInSession,
+    simulation: PlainSimulation,
+    largest: float = 1.0,
+    runs: int = 30,
 ) -> dict[str, Any]:
-    """Return one effect, whose size is found on a shorter session of its own."""
+    """Return one effect, whose size is found on a shorter session of its own, at most a share of the largest one."""
     trial = replace(session, runs=min(runs, session.runs), seed=int(case.rng("trial").integers(2**31)))
     drive = driver_of(case.family)
     usual = simulation.error(from_recording(record(trial, drive=drive)[1])[0])
@@ -222,7 +228,8 @@ def sized_effect(
             return math.inf
         return rise_percent(simulation.error(transitions), usual)
 
-    sizes = {**CATALOGUE, **OUTSIDE}[name][case.robot]
+    low, high = {**CATALOGUE, **OUTSIDE}[name][case.robot]
+    sizes = low, max(low, largest * high)
     return sized_entry(name, size_that_raises(wanted_percent, sizes, rise), case, session)
 
 
