@@ -12,7 +12,8 @@ import torch
 from exact_model import conditions_of, moved, situation_of
 from swarmtwin.errors import UserError
 from swarmtwin.robot import Arena, Robot
-from swarmtwin.simulation.mechanism import LocalTractionScore, mechanism, mechanism_class, mechanism_names, offered
+from swarmtwin.simulation.mechanism import mechanism, mechanism_class, mechanism_names, offered
+from swarmtwin.simulation.traction_score import LocalTractionScore
 
 CATALOGUE = {
     "gain_change",

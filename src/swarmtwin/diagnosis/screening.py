@@ -14,8 +14,9 @@ from swarmtwin.diagnosis.likelihood import (
     loses_commands,
 )
 from swarmtwin.geometry import compose, exp_map
-from swarmtwin.simulation.mechanism import LocalTractionScore, Mechanism, Parameter, offered
+from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
 from swarmtwin.simulation.mechanisms import gain_change
+from swarmtwin.simulation.traction_score import LocalTractionScore
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from swarmtwin.plugins import PluginRegistry
 from swarmtwin.robot import Robot, SituationPart, StrictModel
 from swarmtwin.simulation import mechanisms
 from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.traction_score import LocalTractionScore
 
 Stage = Literal["link", "controller", "supply", "actuators", "ground", "body", "marker", "camera", "clock"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
@@ -164,20 +165,6 @@ def true_neighbours(pose: Tensor, neighbours: Tensor, seen: Callable[[Tensor], T
     moved = neighbours.clone()
     moved[there] = displacement_between(seen(own), seen(compose(own, neighbours[there])))
     return moved
-
-
-class LocalTractionScore(NamedTuple):
-    """Where in the arena a loss of traction would explain residuals: where a search for a patch begins.
-
-    Attributes:
-        position: (N, 2) mm, the middle of each transition.
-        slope: (N,) derivative of each one's log-likelihood with respect to a loss of traction there.
-        curvature: (N,) how fast that derivative falls.
-    """
-
-    position: np.ndarray
-    slope: np.ndarray
-    curvature: np.ndarray
 
 
 class Mechanism(StrictModel, ABC):

@@ -10,7 +10,8 @@ from torch import Tensor
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.local_traction import LocalTraction
-from swarmtwin.simulation.mechanism import LocalTractionScore, Moment, Parameter
+from swarmtwin.simulation.mechanism import Moment, Parameter
+from swarmtwin.simulation.traction_score import LocalTractionScore
 
 _STEPS = np.array([step for step in np.ndindex(3, 3, 3) if 0 < sum(one != 1 for one in step) < 3]) - 1.0
 

@@ -133,7 +133,7 @@ class Car(Machine):
         driven = f"{side}_gear" if self.conditions.backlash else side
         if self.conditions.backlash:
             half_rad = self.conditions.backlash / 2000 / radius
-            last_stage = self.last_stage_inertia
+            last_stage = min(self.last_stage_inertia, inertia * self.gear**2 / 2)
             inertia -= last_stage / self.gear**2
             gear = f"""
             <body pos="0 {0.7 * left} {radius}">

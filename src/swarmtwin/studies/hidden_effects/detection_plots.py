@@ -136,18 +136,17 @@ def clean_figure(results: pd.DataFrame) -> Figure:
     return figure
 
 
-def calibration_figure(confidences: pd.DataFrame, groups: int = 6) -> Figure:
-    """Draw how often causes named with a confidence are there: groups of equally many causes, each family a line."""
+def calibration_figure(confidences: pd.DataFrame, bins: int = 10) -> Figure:
+    """Draw how often causes named with a confidence are there, in bins of equal width (`expected_calibration_error`)."""
     with style():
         figure = Figure(figsize=(4.5, 4), layout="constrained")
         axes = figure.subplots()
         axes.plot([0, 1], [0, 1], color=MEASURED, linewidth=0.8, linestyle=":")
         colours = (PREDICTED, FLOOR, MEASURED)
         for (family, own), colour in zip(confidences.groupby("family", sort=False), colours, strict=False):
-            ordered = own.sort_values("confidence")
-            for part in np.array_split(np.arange(len(ordered)), min(groups, len(ordered))):
-                share = Proportion.of(ordered.true.iloc[part])
-                said = float(ordered.confidence.iloc[part].mean())
+            for _, part in own.groupby(np.minimum((own.confidence * bins).astype(int), bins - 1)):
+                share = Proportion.of(part.true)
+                said = float(part.confidence.mean())
                 axes.plot([said, said], [share.low, share.high], color=colour, linewidth=0.8)
                 axes.plot(said, share.share or 0.0, "o", color=colour, markersize=4)
             axes.plot([], [], "o", color=colour, label=str(family))

@@ -16,6 +16,8 @@ from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.held_out_gain import HeldOutGain
 
 THRUST_ROBOTS = ("mur",)
+"""Robots of the study whose actuators thrust."""
+
 WEAKENED: Mapping[str, Mapping[tuple[str, str], str]] = {
     "battery_sag": {
         **{("formulas", "mgr"): "speed", ("unruly", "mgr"): "speed"},
@@ -30,7 +32,6 @@ WEAKENED: Mapping[str, Mapping[tuple[str, str], str]] = {
 
 The fin of the formulas has less thrust, which is neither.
 """
-"""Robots of the study whose actuators thrust."""
 
 
 class Baselines(StrictModel):
@@ -204,9 +205,9 @@ def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     `covered` says whether the 95 % interval holds the true value; `same_unit` whether what is said and what is hidden
     are the same quantity at all. They are not where a share of the speed is told and the stand-in hides one of what
     actuators are given, or of a fin's thrust, or the other way round: only its physics tell the one of the other. Nor
-    are they where the eddies about a fin are stronger, beside which its strokes make motion random as
-    before, nor where one motor of the rigid body has less voltage, of which its bearings' friction takes as much as
-    before: a diagnosis says how random the motion is, and how fast a wheel turns.
+    are they where the eddies about a fin are stronger, beside which its strokes make motion random as before, nor where
+    one motor of the rigid body has less voltage, of which its bearings' friction takes as much as before: a diagnosis
+    says how random the motion is, and how fast a wheel turns.
     """
     table = _with_errors([row for result in results for row in _parameters(result)], list(Estimate.model_fields))
     table["covered"] = table.true.between(table.low, table.high)
