@@ -137,7 +137,7 @@ def clean_figure(results: pd.DataFrame) -> Figure:
 
 
 def calibration_figure(confidences: pd.DataFrame, bins: int = 10) -> Figure:
-    """Draw how often causes named with a confidence are there, in bins of equal width (`expected_calibration_error`)."""
+    """Draw how often causes named with a confidence are there, in the bins of `expected_calibration_error`."""
     with style():
         figure = Figure(figsize=(4.5, 4), layout="constrained")
         axes = figure.subplots()
