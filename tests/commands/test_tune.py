@@ -214,6 +214,25 @@ def test_processes_that_begin_at_once_share_a_database_that_is_yet_to_be_made(tm
     assert [path.name for path in tmp_path.iterdir()] == ["s.db"]
 
 
+@pytest.mark.parametrize("looked_at", ["get_trials", "user_attrs"])
+def test_a_process_that_begins_between_two_looks_at_a_study_does_not_turn_another_away(
+    tmp_path, monkeypatch, looked_at
+):
+    """Whether trials are there and what they are for are two queries: another process may add both in between."""
+    shared = SharedStudy("s", f"sqlite:///{tmp_path}/s.db", {"robot": "mgr"})
+    original = getattr(optuna.Study, looked_at)
+
+    def begin_meanwhile(study, *args, **options):
+        seen = original.fget(study) if isinstance(original, property) else original(study, *args, **options)
+        monkeypatch.setattr(optuna.Study, looked_at, original)
+        shared.open().add_trial(optuna.trial.create_trial(value=1.0))
+        return seen
+
+    slow = property(begin_meanwhile) if isinstance(original, property) else begin_meanwhile
+    monkeypatch.setattr(optuna.Study, looked_at, slow)
+    assert len(shared.open().trials) == 1
+
+
 @pytest.mark.usefixtures("drawn")
 def test_the_advice_is_a_complete_command(swarmtwin, workshop):
     options = ("model.steps=40", "split.seed=3", "device=cpu")

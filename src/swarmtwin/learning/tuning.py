@@ -76,10 +76,11 @@ class SharedStudy:
                 direction="minimize",
                 load_if_exists=True,
             )
-            known, begun = study.user_attrs.get(MADE_FOR), bool(study.get_trials(deepcopy=False))
+            begun = bool(study.get_trials(deepcopy=False))  # first: whoever adds a trial has named its purpose before
+            known = study.user_attrs.get(MADE_FOR)
             if known is None and not begun:
                 study.set_user_attr(MADE_FOR, dict(self.made_for))
-                return study
+                known = study.user_attrs.get(MADE_FOR)
         except (OSError, ImportError, ValueError, LookupError, SQLAlchemyError, optuna.exceptions.OptunaError) as error:
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             raise UserError(
