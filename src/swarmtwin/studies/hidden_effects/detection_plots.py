@@ -1,9 +1,11 @@
 """The pictures of the study: which cause is taken for which, what size is found, how right the parameters are."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
@@ -44,57 +46,77 @@ def confusion_figure(results: pd.DataFrame) -> Figure:
             axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
         axes.set_xticks(range(len(counts.columns)), list(counts.columns), rotation=60, ha="right")
         axes.set_yticks(range(len(counts)), list(counts.index))
-        axes.set(xlabel="named first", ylabel="hidden")
+        known, outside = (sum(name in names for name in counts.index) for names in (CATALOGUE, OUTSIDE))
+        for below in {known, known + outside} - {0, len(counts)}:
+            axes.axhline(below - 0.5, color=MEASURED, linewidth=0.8)
+        axes.axvline(list(counts.columns).index("no name") - 0.5, color=MEASURED, linewidth=0.8)
+        axes.set(xlabel="named first", ylabel="hidden: effects of the catalogue, of none, nothing")
         axes.grid(False)
     return figure
 
 
-def by_rise(results: pd.DataFrame, happened: str) -> list[tuple[float, Proportion]]:
-    """Return how often a column is true, by how much the effect raised the error: median of each bin, and share."""
-    rates = []
-    rise_percent = results.rise_percent.clip(lower=0.0)
-    for low, high in pairwise((0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 1000.0)):
-        inside = rise_percent.between(low, high, inclusive="left")
-        if inside.any():
-            middle = float(rise_percent[inside].clip(lower=0.3).median())  # no less: the axis is logarithmic
-            rates.append((middle, Proportion.of(results[happened][inside])))
-    return rates
+RISE_PERCENT_EDGES = (0.0, 1.0, 3.0, 10.0, 30.0, np.inf)
+TIMES_LIMIT_EDGES = (0.0, 0.5, 1.0, 2.0, 4.0, np.inf)
+
+
+def share_by_size(
+    results: pd.DataFrame, happened: str, size: str, edges: Sequence[float]
+) -> list[tuple[float, Proportion]]:
+    """Return how often a column is true by the size of the effect: the median size of each bin, and the share."""
+    sizes = results[size].astype(float)
+    inside = [sizes.clip(lower=0.0).between(low, high, inclusive="left") for low, high in pairwise(edges)]
+    return [(float(sizes[one].median()), Proportion.of(results[happened][one])) for one in inside if one.any()]
 
 
 def detection_figure(results: pd.DataFrame) -> Figure:
-    """Draw how often single effects are found and named, by how much they raise the error, beside other methods."""
+    """Draw how often single effects are found and named, beside other methods, by their size.
+
+    The upper row has by how much they raise the error, the lower one their size over the detection limit of their
+    session, above which nine of ten are to be named. Each column is a family of stand-ins.
+    """
     single = results[results.kind == "one"]
-    compared = single[single.with_baselines]
-    styles = dict(zip(single.family.unique(), ("-", "--", ":"), strict=False))
-    lines = {
-        **{
-            f"{one}: alarm": (FLOOR, way, by_rise(single[single.family == one], "found")) for one, way in styles.items()
-        },
-        **{
-            f"{one}: named, nothing beside": (PREDICTED, way, by_rise(single[single.family == one], "exact"))
-            for one, way in styles.items()
-        },
-        "named first: parameter fitting": (MEASURED, "-", by_rise(compared, "fitting_first")),
-        "named first: correlation rules": ("#8d99ae", "-", by_rise(compared, "rule_first")),
+    families = list(single.family.unique())
+    sizes = {
+        "rise_percent": ("one-step error raised by the effect, %", RISE_PERCENT_EDGES, (0.3, 1, 3, 10, 30, 100)),
+        "times_limit": ("size of the effect over its detection limit", TIMES_LIMIT_EDGES, (0.1, 0.3, 1, 3, 10, 30)),
     }
-    ticks_percent = (0.3, 1, 3, 10, 30, 100)
     with style():
-        figure = Figure(figsize=(6.5, 4), layout="constrained")
-        axes = figure.subplots()
-        for label, (colour, line, rates) in lines.items():
-            if rates:
-                value, low, high = np.array([(rate.share, rate.low, rate.high) for _, rate in rates], float).T
-                around = np.clip([value - low, high - value], 0.0, None)
-                at = [middle for middle, _ in rates]
-                axes.errorbar(at, value, around, fmt=f"o{line}", color=colour, label=label, markersize=4, capsize=2)
-        axes.set(xscale="log", ylim=(-0.02, 1.02), ylabel="share of sessions, 95 % interval")
-        axes.set_xticks(ticks_percent, [f"{tick:g}" for tick in ticks_percent])
-        axes.minorticks_off()
-        axes.set_xlabel("one-step error raised by the effect, %")
-        axes.set_title(f"{len(single)} sessions with one effect of the catalogue")
-        if axes.get_legend_handles_labels()[0]:
-            figure.legend(loc="outside lower center", ncols=2)
+        figure = Figure(figsize=(3.6 * max(len(families), 1) + 0.4, 6), layout="constrained")
+        panels = figure.subplots(len(sizes), max(len(families), 1), sharey=True, squeeze=False)
+        for axes_row, (size, (meaning, edges, ticks)) in zip(panels, sizes.items(), strict=True):
+            for axes, family in zip(axes_row, families, strict=False):
+                own = single[single.family == family]
+                _draw_shares(axes, own[own[size].notna()], size, edges, ticks[0])
+                axes.set(xscale="log", ylim=(-0.02, 1.02), xlabel=meaning, xlim=(ticks[0] / 1.3, 1.3 * ticks[-1]))
+                axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+                axes.minorticks_off()
+                counted = int(own[size].notna().sum())
+                axes.set_title(f"{family}: {counted} sessions with one effect")
+            axes_row[0].set_ylabel("share of sessions, 95 % interval")
+        for axes in panels[1]:
+            axes.axvline(1.0, color=MEASURED, linewidth=0.8, linestyle=":")
+        handles, labels = panels[0][0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, labels, loc="outside lower center", ncols=2)
     return figure
+
+
+def _draw_shares(axes: Axes, single: pd.DataFrame, size: str, edges: Sequence[float], least: float) -> None:
+    """Draw which share of sessions with one effect each method names, a little beside each other, from `least` on."""
+    compared = single[single.with_baselines]
+    lines = (
+        ("alarm", FLOOR, single, "found"),
+        ("named, and nothing beside it", PREDICTED, single, "exact"),
+        ("parameter fitting: named first", MEASURED, compared, "fitting_first"),
+        ("rules on correlations: named first", "#8d99ae", compared, "rule_first"),
+    )
+    for place, (label, colour, sessions, happened) in enumerate(lines):
+        rates = share_by_size(sessions, happened, size, edges)
+        if rates:
+            value, low, high = np.array([(rate.share, rate.low, rate.high) for _, rate in rates], float).T
+            around = np.clip([value - low, high - value], 0.0, None)
+            at = [max(middle, least) * 1.05**place for middle, _ in rates]  # the axis is logarithmic
+            axes.errorbar(at, value, around, fmt="o-", color=colour, label=label, markersize=4, capsize=2)
 
 
 def parameters_figure(parameters: pd.DataFrame) -> Figure:
