@@ -16,7 +16,7 @@ help:
 	@echo "make claims     test what is stated: of the diagnosis and its rivals on many drawn sessions, and in the notebooks"
 	@echo "make services   test what others run: sweeps and studies on a Ray cluster, models and recordings in a bucket"
 	@echo "make lint       set up, check style and types"
-	@echo "make paper      what the documentation shows of models, the paper's tables and hidden effects, anew: more than an hour"
+	@echo "make paper      what the documentation shows of models and the paper's tables, and of hidden effects what is not frozen: hours"
 	@echo "make docs       set up, build the documentation into site/ and check its links"
 	@echo "make audit      a bill of all packages in the environment, and which of them are known to be vulnerable"
 	@echo "make demo       five emulated robots, their camera and a broker; a policy drives them, a film is left"

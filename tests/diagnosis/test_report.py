@@ -52,6 +52,7 @@ LIMITS = (
     DetectionLimit(cause="gain_change", parameter="gain", value=1.0564, unit="", share_of_range=0.02),
     DetectionLimit(cause="battery_sag", parameter="loss", value=0.0631, unit="", share_of_range=0.06),
     DetectionLimit(cause="lens_distortion", parameter="coefficient", value=None, unit="", share_of_range=1.0),
+    DetectionLimit(cause="steady_drift", parameter="x_mm_s", value=0.52, unit="mm/s", share_of_range=0.01),
 )
 
 
@@ -90,16 +91,16 @@ def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     diagnosis = made_result(causes=(DELAY, YAW))
     page = page_of(made_session(diagnosis, moved_late), tmp_path)
     assert (
-        "The robot departs from the simulation because commands act 0.15 s late (or it is actuator lag) – check "
-        "network, broker and camera for latency; and because the marker is turned by −5.7° on the vehicle – glue the "
-        "marker on straight, or enter its angle."
+        "The robot departs from the simulation because commands act 0.15 s late (less likely, but not excluded: "
+        "actuator lag) – check network, broker and camera for latency; and because the marker is turned by 5.7° to the "
+        "right on the vehicle – glue the marker on straight, or enter its angle."
     ) in page.above
     for said in (
         "Command delay : commands act 0.15 s (0.13 to 0.17) late.",
-        "Marker yaw : the marker is turned by −5.7° (−6.9 to −4.6) on the vehicle.",
-        "99 % sure; accounts for 93 % of what can be explained",
-        "It could as well be actuator lag: with the commands driven here, the robot would move the same within its "
-        "noise; the drive below tells them apart",
+        "Marker yaw : the marker is turned by 5.7° (4.6 to 6.9) to the right on the vehicle.",
+        "Posterior probability 99 %; it explains 93 % of the squared error that can be explained",
+        "Less likely, but not excluded: actuator lag. With the commands driven here, the robot would move nearly the "
+        "same; the drive below tells them apart",
         "before 8.61 mm after 1.82 mm −6.8 mm (−7.1 to −6.5), −79",
         "before 12.4° after 3.0° −9.4° (−9.6 to −9.1), −75",
         "before 214 mm after 31 mm −183 mm (−205 to −160), −86",
@@ -128,6 +129,7 @@ def test_limits_are_on_the_page_with_what_a_smaller_effect_is_taken_for(tmp_path
     page = page_of(made_session(made_result("no_gap", detection_limits=LIMITS), moved_as_simulated), tmp_path)
     assert "command delay delay 0.023 s actuator lag" in page.text
     assert "gain change gain 1.056" in page.text
+    assert "steady drift speed 0.52 mm/s" in page.text
     assert "battery sag loss 6.3 %" in page.text
     assert "lens distortion coefficient not at any value" in page.text
     assert "it would have been named in nine of ten such recordings" in page.above
@@ -234,7 +236,7 @@ OWN_UNIT = UnitDifference(
         (
             "unexplained",
             {"causes": (), "not_confirmed": "held-out runs do not confirm x"},
-            "What was found is not kept: held-out runs do not confirm x.",
+            "The extension is discarded: held-out runs do not confirm x.",
         ),
         (
             "unexplained",
@@ -425,13 +427,45 @@ def test_what_the_cause_looks_at_is_shown_first_where_it_shows(name, depends_on,
 def test_what_is_left_is_said_without_a_direction_that_nobody_measured():
     diagnosis = made_result(depends_on=("time", "spread"), left_over=("position", "spread", "tails"))
     assert dependence_words(diagnosis) == (
-        "What is off depends on the time since the session began. Errors scatter more than the ordinary noise. "
+        "The error depends on the time since the session began. Errors scatter more than the ordinary noise. "
         "What the extension leaves depends on the place in the arena. With the extension, how errors scatter and how "
         "common large errors are still differs from the ordinary noise."
     )
     tighter = Dependence(part="spread", statistic=1, p_value=0, explained=-0.2, found=True)
     quiet = made_result(depends_on=("spread",), tests=(tighter,))
     assert dependence_words(quiet) == "Errors scatter less than the ordinary noise."
+
+
+def test_tests_that_find_what_is_no_gap_are_not_denied():
+    one, *others = made_result("no_gap").tests
+    diagnosis = made_result("no_gap", tests=(one.model_copy(update={"found": True}), *others))
+    words = f"1 of {len(diagnosis.tests)} tests find that errors depend on something, but no more than by what is"
+    assert dependence_words(diagnosis).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "words"),
+    [
+        (
+            "neighbour_interaction",
+            {"strength_mm_s": (-98.0, -101.0, -95.0, "mm/s"), "reach_mm": (261.0, 255.0, 267.0, "mm")},
+            "vehicles draw each other together at 98 mm/s (95 to 101) where they meet, and at 37 % of that 261 mm (255 "
+            "to 267) apart",
+        ),
+        (
+            "marker_offset",
+            {"forward_mm": (3.0, 2.8, 3.2, "mm"), "left_mm": (-0.4, -0.9, 0.1, "mm")},
+            "the marker sits 3.0 mm (2.8 to 3.2) ahead and 0.4 mm (−0.1 to 0.9) to the right of where it should",
+        ),
+    ],
+)
+def test_a_direction_is_told_by_a_word_in_the_place_of_a_sign(name, values, words):
+    parameters = {
+        parameter: Estimate(value=value, low=low, high=high, unit=unit)
+        for parameter, (value, low, high, unit) in values.items()
+    }
+    cause = DELAY.model_copy(update={"name": name, "parameters": parameters})
+    assert cause_words(cause).replace("\N{NO-BREAK SPACE}", " ") == words
 
 
 def test_in_a_browser_the_report_loads_without_errors_and_fits(tmp_path, browser):

@@ -4,6 +4,8 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
+from string import Formatter
+from typing import NamedTuple
 
 from swarmtwin.diagnosis.result import (
     Cause,
@@ -14,7 +16,7 @@ from swarmtwin.diagnosis.result import (
     NextRecording,
     UnitDifference,
 )
-from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.simulation.mechanism import Mechanism, mechanism_class
 
 SPACE = "\N{NO-BREAK SPACE}"
 DASH = f"{SPACE}– "
@@ -94,7 +96,7 @@ def _wrong_and_to_do(causes: Sequence[Cause]) -> list[tuple[str, str]]:
 
 def _or_rival(cause: Cause) -> str:
     rivals = [cause_title(rival) for rival in cause.rivals]
-    return f" (or it is {enumeration(rivals, last=' or ')})" if rivals else ""
+    return f" (less likely, but not excluded: {enumeration(rivals, last=' or ')})" if rivals else ""
 
 
 def _weak_wheel(causes: Sequence[Cause]) -> tuple[str, float] | None:
@@ -160,9 +162,15 @@ def _look_at(diagnosis: DiagnosisResult) -> str:
 def dependence_words(diagnosis: DiagnosisResult) -> str:
     """Return in sentences what the error depends on, how else it is unlike the ordinary noise, and what is left."""
     if diagnosis.verdict == "no_gap":
+        found = sum(test.found for test in diagnosis.tests)
+        if found:
+            return (
+                f"{found} of {len(diagnosis.tests)} tests find that errors depend on something, but no more than by "
+                "what is uncertain in the simulation itself, or by how units differ."
+            )
         return f"Nothing of what was tested ({len(diagnosis.tests)} questions) shows more than chance would."
     explained = {test.part: test.explained for test in diagnosis.tests}
-    sentences = [f"What is off depends on {placed}."] if (placed := _placed(diagnosis.depends_on)) else []
+    sentences = [f"The error depends on {placed}."] if (placed := _placed(diagnosis.depends_on)) else []
     for part, sentence in SHAPES.items():
         if part in diagnosis.depends_on:
             sentences.append(sentence.format("less" if explained.get(part, 0.0) < 0 else "more"))
@@ -212,6 +220,15 @@ def limit_words(limit: DetectionLimit) -> str:
     return f"{_number(factor * limit.value, min(decimals, 4))}{sign}"
 
 
+def measured_by(limit: DetectionLimit) -> str:
+    """Return what a cause's size is measured by as people say it; a speed where it is the length of a velocity."""
+    kind, name = mechanism_class(limit.cause), limit.parameter
+    if kind.reported is not Mechanism.reported:
+        alone = {field: float(field == name) for field in kind.model_fields if field != "name"}
+        name = next(iter(kind.at(alone).reported()))
+    return parameter_title(name)
+
+
 def parameter_title(name: str) -> str:
     """Return a parameter's name as people say it, without its unit."""
     return re.sub(r"_(mm_s|mm|rad|deg|s)$", "", name).replace("_", " ")
@@ -224,17 +241,23 @@ def limits_words(diagnosis: DiagnosisResult) -> str:
         if diagnosis.verdict == "no_gap"
         else "What was not found may still be there, if it is small. Had a cause been as large as stated here, "
     )
-    return f"{meaning}it would have been named in nine of ten such recordings."
+    return (
+        f"{meaning}it would have been named in nine of ten such recordings. Where a cause has further parameters, such "
+        "as a place, a reach or a direction, the size is that at those of their values at which it shows most."
+    )
 
 
 def posterior_words(diagnosis: DiagnosisResult) -> str:
     """Return how to read the probabilities of the leading sets of causes."""
     if diagnosis.verdict == "unexplained" and not diagnosis.causes:
         return (
-            "So it would be if the catalogue held all there is. But no set of its causes explains what was measured, "
-            "or runs that nothing was fitted to speak against it: none is named."
+            "These probabilities assume that the true causes are in the catalogue. But no set of its causes explains "
+            "what was measured, or runs that nothing was fitted to speak against it: none is named."
         )
-    return "A cause is named where the sets that hold it, or one that looks the same, have 90 % together."
+    return (
+        "These probabilities assume that the true causes are in the catalogue. A cause is named where the sets that "
+        "hold it, or one that looks the same, have 90 % together."
+    )
 
 
 def next_recording_words(plan: NextRecording) -> str:
@@ -270,11 +293,33 @@ def odds_words(nats: float) -> str:
     return f"{float(f'{math.exp(min(nats, math.log(1e6))):.1g}'):,.0f}"
 
 
+class _Told(NamedTuple):
+    """A parameter in words; formatted by `ahead/behind` the word for its sign."""
+
+    words: str = ""
+    is_negative: bool = False
+
+    def __format__(self, directions: str) -> str:
+        return directions.split("/")[self.is_negative] if directions else self.words
+
+
 def _told(cause: Cause, tell: Callable[[str, Estimate], str]) -> str:
     """Fill in a cause's words; what this robot does not have stays empty."""
-    told = {name: tell(name, estimate) for name, estimate in cause.parameters.items()}
     mechanism = mechanism_class(cause.name)
-    return mechanism.words.format_map(defaultdict(str, mechanism.usual_form() | cause.form | told))
+    directed = {name for _, name, directions, _ in Formatter().parse(mechanism.words) if directions}
+    told = {
+        name: _Told(tell(name, _size(estimate) if name in directed else estimate), estimate.value < 0)
+        for name, estimate in cause.parameters.items()
+    }
+    form = {name: _Told(words) for name, words in (mechanism.usual_form() | cause.form).items()}
+    return mechanism.words.format_map(defaultdict(_Told, form | told))
+
+
+def _size(estimate: Estimate) -> Estimate:
+    """Return an estimate without its sign."""
+    if estimate.value >= 0:
+        return estimate
+    return estimate.model_copy(update={"value": -estimate.value, "low": -estimate.high, "high": -estimate.low})
 
 
 def _manner(name: str, estimate: Estimate) -> tuple[float, str, int]:

@@ -16,7 +16,10 @@ class Config(Mechanism):
     """The camera sees a point that is `forward_mm`, `left_mm` off the one that the vehicle turns about."""
 
     stage: ClassVar = "marker"
-    words: ClassVar = "the marker sits {forward_mm} ahead and {left_mm} to the left of where it should"
+    words: ClassVar = (
+        "the marker sits {forward_mm} {forward_mm:ahead/behind} and {left_mm} {left_mm:to the left/to the right} of "
+        "where it should"
+    )
     remedy: ClassVar = "glue the marker over the centre of rotation, or enter its offset"
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)

@@ -15,7 +15,7 @@ class Config(Mechanism):
     """The camera measures headings that are `angle_rad` more than the true ones."""
 
     stage: ClassVar = "marker"
-    words: ClassVar = "the marker is turned by {angle_rad} on the vehicle"
+    words: ClassVar = "the marker is turned by {angle_rad} {angle_rad:to the left/to the right} on the vehicle"
     remedy: ClassVar = "glue the marker on straight, or enter its angle"
     parameters: ClassVar = {"angle_rad": Parameter(-math.pi, math.pi, 0.0, "rad", (0.0,), 0.005)}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("pose",)

@@ -20,7 +20,10 @@ class Config(Mechanism):
     """
 
     stage: ClassVar = "body"
-    words: ClassVar = "vehicles push each other apart at {strength_mm_s} where they meet, falling over {reach_mm}"
+    words: ClassVar = (
+        "vehicles {strength_mm_s:push each other apart/draw each other together} at {strength_mm_s} where they meet, "
+        "and at 37 % of that {reach_mm} apart"
+    )
     remedy: ClassVar = "keep the vehicles further apart, or look for wakes, magnets and cables"
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("pose", "neighbours")

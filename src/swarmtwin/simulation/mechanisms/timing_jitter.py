@@ -17,7 +17,9 @@ class Config(Mechanism):
     """The motion lasts as long as the period really does; `spread` is the periods' standard deviation over nominal."""
 
     stage: ClassVar = "clock"
-    words: ClassVar = "control periods differ by {spread} from nominal, and the motion with them"
+    words: ClassVar = (
+        "control periods vary, with a standard deviation of {spread} of the nominal one, and the motion with them"
+    )
     remedy: ClassVar = "take load off the controller, or use the measured duration as an input"
     parameters: ClassVar[Mapping[str, Parameter]] = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("duration_s",)
