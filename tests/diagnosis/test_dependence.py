@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_base import ExactBase, session_of
+from exact_base import SPREAD, ExactBase, known_noise, session_of, steady_spread
 from scipy import stats
 
-from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
+from swarmtwin.diagnosis.dependence import StandardisedResidual, _in_second_half, dependence_tests
+from swarmtwin.diagnosis.discrepancy import Discrepancy
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.settings import DependenceSettings
+from swarmtwin.geometry import exp_map
 
 SEEDS = 40
 MOST_FALSE = int(stats.binom.ppf(0.99, SEEDS, DependenceSettings().false_discovery_rate))
@@ -40,7 +43,9 @@ def lasting(session, rng):
 def examined(session, residual):
     usual = session.twist.std(dim=0)
     size = (session.twist / usual).numpy()
-    return StandardisedResidual(session, residual, size, np.empty((0, *residual.shape)), np.ones(len(residual)))
+    return StandardisedResidual(
+        session, residual, residual, size, np.empty((*residual.shape, 0)), np.ones(len(residual))
+    )
 
 
 def found(tests):
@@ -109,7 +114,7 @@ def test_what_the_reference_shows_as_well_is_no_news(sessions, part):
     assert part in found(dependence_tests(here, alone, 6))
 
 
-def test_what_the_simulations_own_members_disagree_about_is_not_found(sessions):
+def test_what_is_uncertain_in_the_simulation_is_not_found(sessions):
     rng = np.random.default_rng(8)
     shape = planted(sessions[0])["heading"]
     residual = white(sessions[0], rng)
@@ -117,9 +122,9 @@ def test_what_the_simulations_own_members_disagree_about_is_not_found(sessions):
     there = examined(sessions[1], white(sessions[1], rng))
     here = examined(sessions[0], residual)
     assert "heading" in found(dependence_tests(here, there, 7))
-    members = np.zeros((6, *residual.shape))
-    members[:, :, 0] = np.linspace(-1, 1, 6)[:, None] * shape
-    assert "heading" not in found(dependence_tests(replace(here, members=members), there, 7))
+    effects = np.zeros((*residual.shape, 1))
+    effects[:, 0, 0] = shape
+    assert "heading" not in found(dependence_tests(replace(here, effects=effects), there, 7))
 
 
 def test_runs_that_differ_show_as_time(sessions):
@@ -135,7 +140,7 @@ def test_runs_that_differ_show_as_time(sessions):
 def test_another_spread_is_found_as_spread(sessions, factor, explained):
     rng = np.random.default_rng(10)
     here, there = (examined(session, white(session, rng)) for session in sessions)
-    tests = dependence_tests(replace(here, residual=here.residual * factor), there, 9)
+    tests = dependence_tests(replace(here, by_usual_noise=here.residual * factor), there, 9)
     spread = next(test for test in tests if test.part == "spread")
     assert "spread" in found(tests)
     assert spread.explained == pytest.approx(explained, abs=0.1)
@@ -146,3 +151,85 @@ def test_the_same_seed_gives_the_same_tests(sessions):
     rng = np.random.default_rng(11)
     here, there = (examined(session, lasting(session, rng)) for session in sessions)
     assert dependence_tests(here, there, 12) == dependence_tests(here, there, 12)
+
+
+@pytest.fixture(scope="module")
+def reference_residual(robots):
+    """What a reference of an exact simulation shows, and what its simulation may get wrong."""
+    base = ExactBase(robots["mgr"])
+    session = session_of(base, np.random.default_rng(1), runs=120, steps=30)
+    discrepancy = Discrepancy.learn(SessionLikelihood(base, known_noise(), session), 0.3)
+    model = SessionLikelihood(base, known_noise(), session, discrepancy=discrepancy)
+    return base, discrepancy, StandardisedResidual.of(model, model.evaluate([]))
+
+
+@pytest.mark.parametrize(("gain", "noise", "part"), [(1.0, 1.0, None), (1.0, 1.5, "spread"), (1.05, 1.0, "command")])
+def test_noise_shows_as_spread_and_a_gain_by_the_command_alone(reference_residual, gain, noise, part):
+    """The variance that goes with it is what motion and noise make it, less what clipping and chance take off."""
+    base, discrepancy, reference = reference_residual
+    session = session_of(
+        base,
+        np.random.default_rng(3),
+        moved=lambda moment: exp_map(gain * moment.way),
+        spread=lambda way: noise * steady_spread(way),
+        runs=75,
+    )
+    model = SessionLikelihood(base, known_noise(), session, discrepancy=discrepancy)
+    measured = StandardisedResidual.of(model, model.evaluate([]))
+    tests = dependence_tests(measured, reference, 0)
+    assert found(tests) - {"tails"} == ({part} if part else set())
+    systematic = float(((((gain - 1) * session.twist.numpy()) / SPREAD) ** 2).mean())
+    true = {"command": systematic / (systematic + 1), "spread": noise**2 - 1}
+    if part:
+        assert next(test.explained for test in tests if test.part == part) == pytest.approx(true[part], rel=0.15)
+
+
+def test_what_is_wrong_in_all_runs_alike_is_no_matter_of_time(sessions):
+    rng = np.random.default_rng(14)
+    session = sessions[0]
+    there = examined(sessions[1], white(sessions[1], rng))
+    here = examined(session, white(session, rng))
+    lasting_error = here.residual + 0.4 * np.array([1.0, 0.0, 0.0]) + 0.4 * here.size
+    assert "time" not in found(dependence_tests(replace(here, residual=lasting_error), there, 10))
+
+
+def of_two(session, ids):
+    """The session in which every second run is another vehicle's."""
+    transitions = session.transitions
+    return replace(session, transitions=replace(transitions, vehicle=transitions.run % 2, vehicles=ids))
+
+
+@pytest.mark.parametrize(
+    ("ids", "here", "there", "is_news"),
+    [
+        (("1", "2"), 0.0, 0.4, False),
+        (("1", "2"), 0.4, 0.4, True),
+        (("7", "8"), 0.4, 0.4, False),
+        (("7", "8"), 0.4, 0.0, True),
+    ],
+)
+def test_vehicles_are_compared_with_themselves(sessions, ids, here, there, is_news):
+    """The reference's are 7 and 8; those by other ids are compared with each other alone."""
+    rng = np.random.default_rng(15)
+    residuals = []
+    for session, names, difference in ((sessions[0], ids, here), (sessions[1], ("7", "8"), there)):
+        both = of_two(session, names)
+        errors = white(both, rng) + difference * np.outer(both.transitions.vehicle - 0.5, [1.0, 0.0, 0.0])
+        residuals.append(examined(both, errors))
+    assert ("vehicle" in found(dependence_tests(*residuals, 11))) is is_news
+
+
+def test_in_a_group_a_run_is_halved_vehicle_by_vehicle(sessions):
+    """Rows lie run by run, and there vehicle by vehicle: of two that differ, neither differs from itself."""
+    rng = np.random.default_rng(16)
+    there = examined(sessions[1], white(sessions[1], rng))
+    session = sessions[0]
+    transitions = session.transitions
+    first = np.arange(len(session)) % 25 < 13
+    both = replace(session, transitions=replace(transitions, vehicle=1 - first.astype(int), vehicles=("1", "2")))
+    later = _in_second_half(both)
+    for vehicle in (first, ~first):
+        assert 0.4 < later[vehicle].mean() < 0.6
+    errors = white(both, rng)
+    errors[:, 0] += rng.normal(0, 0.5, session.runs)[session.run]
+    assert "time" in found(dependence_tests(examined(both, errors), there, 12))

@@ -19,16 +19,19 @@ class StandardisedResidual:
 
     Attributes:
         session: of N transitions in R runs.
-        residual: (N, 3) standardised, clipped.
+        residual: (N, 3) standardised by the session's noise, clipped.
+        by_usual_noise: (N, 3) errors less what they depend on, standardised by the reference's noise, not clipped.
         size: (N, 3) simulated twists over usual ones.
-        members: (M, N, 3) what the simulation's members would change of the residual; M may be 0.
+        effects: (N, 3, K) by what the residual may differ by chance, in all of the session alike, each in units of its
+            standard deviation: what is uncertain in the simulation, and how units differ. K may be 0.
         weight: (N,) how much each transition counts.
     """
 
     session: MeasuredSession
     residual: np.ndarray
+    by_usual_noise: np.ndarray
     size: np.ndarray
-    members: np.ndarray
+    effects: np.ndarray
     weight: np.ndarray
 
     @classmethod
@@ -37,20 +40,13 @@ class StandardisedResidual:
     ) -> "StandardisedResidual":
         """Take the residuals that fitted mechanisms leave."""
         clip_z = model.settings.dependence.clip_z
-        clipped = np.clip(fitted.residual, -clip_z, clip_z)
+        clipped = np.clip(fitted.whitened, -clip_z, clip_z)
         weight = np.ones(len(clipped)) if weight is None else weight
         twist = model.simulated.numpy()
         size = twist / np.maximum(twist.std(axis=0), 1e-9)
-        return cls(model.session, clipped, size, _member_changes(model), weight)
-
-
-def _member_changes(model: SessionLikelihood) -> np.ndarray:
-    """Return (M, N, 3) how standardised residuals change with single members of the simulation."""
-    changes = [
-        model.filter(model.changes_of(model.predictor.with_member(member).twist(()))[..., None])[..., 0]
-        for member in range(model.members)
-    ]
-    return np.array(changes) - np.mean(changes, axis=0) if changes else np.empty((0, len(model.session), 3))
+        noise = model.by_usual_noise(model.unpredicted_errors)
+        effects = np.concatenate(model.effects.columns, axis=1).reshape(*clipped.shape, -1)
+        return cls(model.session, clipped, noise, size, effects, weight)
 
 
 def dependence_tests(
@@ -63,9 +59,9 @@ def dependence_tests(
     """Test what residuals depend on beyond what the reference's own residuals do.
 
     For each part of the situation its functions, alone and times the motion, are regressed upon; the difference of the
-    coefficients to the reference's is compared with what flipping the signs of whole runs (a wild bootstrap), and
-    exchanging the simulation's members, would give. Benjamini and Hochberg (1995) over all tests; what explains too
-    small a share of the variance does not matter and is not found.
+    coefficients to the reference's is compared with what flipping the signs of whole runs (a wild bootstrap), and what
+    is uncertain in all of the session alike, would give. Benjamini and Hochberg (1995) over all tests; what explains
+    too small a share of the variance does not matter and is not found.
 
     Args:
         measured: the session's residuals.
@@ -82,16 +78,6 @@ def dependence_tests(
     return _controlled(tests, settings)
 
 
-def situation_tests(
-    measured: StandardisedResidual,
-    reference: StandardisedResidual,
-    settings: DependenceSettings,
-    rng: np.random.Generator,
-) -> list[Dependence]:
-    """Test the parts of the situation alone, false discoveries controlled over them."""
-    return _controlled(_situation_tests(measured, reference, settings, rng), settings)
-
-
 def _situation_tests(
     measured: StandardisedResidual,
     reference: StandardisedResidual | None,
@@ -99,6 +85,8 @@ def _situation_tests(
     rng: np.random.Generator,
 ) -> list[Dependence]:
     reference_functions = _functions(reference.session) if reference else {}
+    if reference and _vehicles(measured.session) != _vehicles(reference.session):
+        reference_functions.pop("vehicle", None)
     return [
         _tested(part, functions, reference_functions.get(part), measured, reference, settings, rng)
         for part, functions in _functions(measured.session).items()
@@ -134,6 +122,11 @@ def _functions(session: MeasuredSession) -> dict[str, np.ndarray]:
     if len(vehicles) > 1:
         parts["vehicle"] = (session.transitions.vehicle[:, None] == vehicles[None, 1:]).astype(float)
     return parts
+
+
+def _vehicles(session: MeasuredSession) -> set[str]:
+    """Return the ids of the vehicles that occur."""
+    return {session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle)}
 
 
 def _polynomials(values: np.ndarray) -> np.ndarray:
@@ -215,21 +208,16 @@ def _coefficients(
     value = inverse @ by_run.sum(axis=0)
     signs = rng.choice([-1.0, 1.0], (settings.draws, len(by_run)))
     by_chance = signs @ by_run @ inverse
-    if len(residuals.members) > 1:
-        moved = np.einsum("nq,mn->mq", regressors, residuals.members[:, :, axis]) @ inverse
-        moved -= moved.mean(axis=0)
-        members = len(moved)
-        weights = rng.standard_t(members - 1, (settings.draws, members)) * np.sqrt((members - 1) / members)
-        by_chance = by_chance + weights @ moved
+    if residuals.effects.shape[-1]:
+        moved = residuals.effects[:, axis].T @ weighted @ inverse
+        by_chance = by_chance + rng.normal(size=(settings.draws, len(moved))) @ moved
     return value, by_chance, information
 
 
 def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Dependence:
-    """Join to the test of time whether runs differ: both halves of a run err in the same way, ahead or turning."""
+    """Join to the test of time whether runs differ: both halves of one err alike, ahead or turning, unlike all runs."""
     session = residuals.session
-    rank = np.arange(len(session)) - np.searchsorted(session.run, session.run)
-    length = np.bincount(session.run)[session.run]
-    later = rank * 2 >= length
+    later = _in_second_half(session)
     products, shared = np.zeros(session.runs), 0.0
     for axis in (0, 2):
         size = residuals.size[:, axis]
@@ -238,6 +226,8 @@ def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Depe
                 [session.by_run(values * (half == later)) for half in (False, True)]
                 for values in (regressor * residuals.residual[:, axis], regressor**2)
             )
+            of_all = np.sum(slopes) / max(np.sum(weights), 1e-9)
+            slopes = [one - of_all * weight for one, weight in zip(slopes, weights, strict=True)]
             product = slopes[0] * slopes[1] / np.sqrt(np.maximum(weights[0] * weights[1], 1e-9))
             products += product
             shared += float(product.sum())
@@ -254,6 +244,17 @@ def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Depe
     return test.model_copy(update=update)
 
 
+def _in_second_half(session: MeasuredSession) -> np.ndarray:
+    """Return (N,) whether a transition lies in the second half of its vehicle's part of its run."""
+    vehicle = session.transitions.vehicle
+    part = session.run * (int(vehicle.max()) + 1) + vehicle
+    order = np.argsort(part, kind="stable")
+    rank = np.empty(len(part), int)
+    rank[order] = np.arange(len(part)) - np.searchsorted(part[order], part[order])
+    later: np.ndarray = rank * 2 >= np.bincount(part)[part]
+    return later
+
+
 def _shape_tests(
     measured: StandardisedResidual,
     reference: StandardisedResidual,
@@ -266,7 +267,8 @@ def _shape_tests(
     for part, of in (("spread", lambda z: np.minimum(z**2, tail_z**2)), ("tails", lambda z: np.abs(z) > tail_z)):
         figures = []
         for residuals in (measured, reference):
-            counted = np.column_stack([of(residuals.residual).mean(axis=1), np.ones(len(residuals.residual))])
+            shape = of(residuals.by_usual_noise).mean(axis=1)
+            counted = np.column_stack([shape, np.ones(len(shape))])
             by_run = residuals.session.by_run(counted * residuals.weight[:, None])
             weights = rng.multinomial(len(by_run), np.full(len(by_run), 1 / len(by_run)), settings.draws)
             resampled = weights @ by_run

@@ -92,7 +92,7 @@ def diagnose(
         depends_on=tuple(test.part for test in dependences if test.found) if explained.verdict != "no_gap" else (),
         gain=judged.gain,
         next_recording=None if objection else plan,
-        left_over=tuple(test.part for test in after if test.found) if explained.is_something_left else (),
+        left_over=tuple(test.part for test in after if test.found) if named and explained.is_something_left else (),
         tests=tuple(dependences),
         robot=reference.robot.name,
         vehicles=tuple(session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle)),
@@ -106,7 +106,7 @@ def diagnose(
         seed=seed,
     )
     parts = ((~held_out, explained.model), (held_out, unfitted.explained_by(explained.best.mechanisms)))
-    residual = _together((rows, part.evaluate([]).residual) for rows, part in parts)
+    residual = _together((rows, part.by_usual_noise(part.errors(()))) for rows, part in parts)
     explained_residual = residual
     if extended:
         explained_residual = _together((rows, _residual_of(extended, part)) for rows, part in parts)
@@ -120,7 +120,7 @@ def diagnose(
         residual_after=explained_residual,
         runs_before=runs.errors.open_loop,
         runs_after=judged.errors.open_loop,
-        next_drive=drive,
+        next_drive=None if objection else drive,
     )
 
 
@@ -234,7 +234,6 @@ def _extension(extended: Simulation | None) -> Extension:
 def _residual_of(extended: Simulation, model: SessionLikelihood) -> np.ndarray:
     """Return (N, 3) the standardised residuals of an extended simulation."""
     if extended.residual is None:
-        return model.evaluate(extended.mechanisms, model.effects).residual
+        return model.by_usual_noise(model.errors_left(extended.mechanisms))
     twist = model.predictor.most_likely_twist(extended.mechanisms, extended.residual)
-    whitened: np.ndarray = model.filter(model.errors_of(twist)[..., None])[..., 0]
-    return whitened
+    return model.by_usual_noise(model.errors_of(twist))

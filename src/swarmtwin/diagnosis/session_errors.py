@@ -117,6 +117,12 @@ class SessionErrors:
         left = self.errors_left(self.explained)
         return self._plain_errors - left + self.flexible.predicted(left, scale, weight)
 
+    @property
+    def unpredicted_errors(self) -> np.ndarray:
+        """(N, 3) errors less what they depend on."""
+        left: np.ndarray = self._plain_errors - self.expected_errors
+        return left
+
     @cached_property
     def motion(self) -> np.ndarray:
         """(N, 3) twists by which vehicles really move, as well as it is known without a cause."""
@@ -127,9 +133,8 @@ class SessionErrors:
     @cached_property
     def noise_scales(self) -> NoiseScales:
         """Factors on the reference's noise, from what no longer depends on anything."""
-        left = self._plain_errors - self.expected_errors
         spread = self.settings.noise.scale_spread
-        return likeliest_scales(self.reference_noise, left, self.motion, self.session, spread)
+        return likeliest_scales(self.reference_noise, self.unpredicted_errors, self.motion, self.session, spread)
 
     @cached_property
     def noise(self) -> Noise:
@@ -141,10 +146,18 @@ class SessionErrors:
         """Makes the session's errors independent."""
         return self.noise.filter(self.motion, self.session)
 
+    def by_usual_noise(self, errors: np.ndarray) -> np.ndarray:
+        """Return errors (N, 3) made independent and divided by the reference's noise, not the session's."""
+        return self._usual_filter(errors[..., None])[..., 0]
+
+    @cached_property
+    def _usual_filter(self) -> NoiseFilter:
+        return self.reference_noise.filter(self.motion, self.session)
+
     @cached_property
     def weight(self) -> np.ndarray:
         """(N,) how much each transition counts in least squares: outliers little, vehicles in contact not at all."""
-        left = self.filter((self._plain_errors - self.expected_errors)[..., None])[..., 0]
+        left = self.filter(self.unpredicted_errors[..., None])[..., 0]
         return np.where(self.in_contact, 0.0, tail_weights(left, self.noise.degrees_of_freedom))
 
     @cached_property
@@ -165,5 +178,4 @@ class SessionErrors:
 
     def motion_noise_log(self) -> tuple[float, float]:
         """Return the log of the factor on the motion's standard deviation, and its standard error over runs."""
-        left = self._plain_errors - self.expected_errors
-        return motion_scale_log(self.noise, self.noise_scales, left, self.motion, self.session)
+        return motion_scale_log(self.noise, self.noise_scales, self.unpredicted_errors, self.motion, self.session)
