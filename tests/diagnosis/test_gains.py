@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from diagnosis_factories import DELAY, made_result, made_session
+from scipy import stats
 
 from swarmtwin.diagnosis.diagnose import read_off_clock
-from swarmtwin.diagnosis.gains import Errors, gain_by_loss, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.gains import Errors, gain_by_loss, gains, likelihood_gain, not_confirmed, scored_tracks
 from swarmtwin.diagnosis.open_loop_pieces import pieces
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
@@ -224,3 +225,17 @@ def test_runs_without_a_lost_command_do_not_deny_that_some_are_lost():
     numbered_anew = held(np.arange(10), 0.0)  # as runs are in each part of a session
     drawn = [gain_by_loss(fitted, one, loss, 3, 1000, np.random.default_rng(1)) for one in (unfitted, numbered_anew)]
     assert drawn[0] == drawn[1]
+
+
+@pytest.mark.parametrize("runs", [2, 4, 12])
+def test_few_runs_confirm_nothing_by_chance(runs):
+    """Whatever the number of runs, one gain in forty seems above zero where there is none."""
+    rng = np.random.default_rng(20)
+    run = np.repeat(np.arange(runs), 20)
+    trials, above = 400, 0
+    for _ in range(trials):
+        differences = rng.normal(size=(runs, 2))[run] + rng.normal(size=(len(run), 2))
+        before, after = (Errors(one, (), (), (), ()) for one in (10 + differences, np.full_like(differences, 10.0)))
+        found = gains(before, after, run, 200, rng)
+        above += (found.position_mm.low > 0) + (found.orientation_deg.low > 0)
+    assert above <= stats.binom.ppf(0.999, 2 * trials, 0.035)
