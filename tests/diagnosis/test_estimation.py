@@ -9,6 +9,7 @@ from exact_base import ExactBase, Losing, as_simulated, known_noise, session_of
 from scipy import stats
 
 from exact_model import MM_PER_PWM, TRACK_MM, conditions_of
+from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
@@ -325,3 +326,17 @@ def test_vehicles_in_contact_say_nothing_of_how_one_goes(robots, lossy):
     assert (contact[1].log_likelihood[close] == 0).all()
     lost_nats = [before.total - after.total for before, after in (contact, apart)]
     assert abs(lost_nats[0]) < 0.1 * lost_nats[1]
+
+
+def test_periods_that_last_too_long_all_along_are_no_gain(robots):
+    """The clock says why vehicles go 4 % further, and needs no parameter for it."""
+    base = ExactBase(robots["mgr"])
+    session = session_of(base, np.random.default_rng(6), moved=gained(1.04))
+    slow = replace(session.transitions, duration_s=1.04 * session.transitions.duration_s)
+    model = SessionLikelihood(base, known_noise(), MeasuredSession.of(slow, session.conditions))
+    clock = mechanism_class("timing_jitter")
+    assert model.can_show(clock)
+    search = CauseSearch(model, {name: mechanism_class(name) for name in ("timing_jitter", "gain_change")})
+    assert search.run().best.names == ("timing_jitter",)
+    on_time = SessionLikelihood(base, known_noise(), session)
+    assert not on_time.can_show(clock)

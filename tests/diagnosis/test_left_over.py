@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from exact_base import ExactBase, as_simulated, known_noise, session_of
+from exact_base import ExactBase, as_simulated, errors_showing, known_noise, session_of
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
@@ -144,3 +144,16 @@ def test_ground_on_which_vehicles_go_farther_along_than_across_is_seen(robots):
         found[name] = left_over(model, estimate(model, []), 0.0, ReferenceErrors()).by_situation
     assert found["brushed"] > 40
     assert found["even"] < 5
+
+
+@pytest.mark.parametrize(("by_history", "asks_reference"), [(6.0, False), (10.0, True)])
+def test_what_the_reference_shows_of_history_is_taken_off_where_it_could_forbid_a_name(
+    robots, monkeypatch, by_history, asks_reference
+):
+    """Errors that follow each other as much in the reference say nothing against a cause."""
+    monkeypatch.setattr("swarmtwin.diagnosis.left_over.nats_by_history", lambda *_: by_history)
+    model = likelihood(robots["mgr"], sure=True, size=0.0)
+    usual = errors_showing(nats_by_history=10.0 / len(model.session), transitions=len(model.session))
+    left = left_over(model, estimate(model, []), 0.0, usual)
+    assert (left.by_history < 0) is asks_reference
+    assert asks_reference or left.by_history == by_history

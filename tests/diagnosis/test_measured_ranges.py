@@ -32,6 +32,13 @@ def test_intervals_become_ranges_within_the_bounds_of_their_parameters(tmp_path)
     assert [one.ranges for one in randomisation.mechanisms] == [{"delay_s": (0.13, 0.17)}, {"width": (0.0, 12.0)}]
 
 
+def test_what_a_cause_weakens_is_kept(tmp_path):
+    weak = cause("gain_change", gain=(0.7, 0.8)).model_copy(update={"form": {"acts_on": "effort"}})
+    found = ranges_of(tmp_path, weak)
+    [drawn] = Randomisation.read(found, simulation_with(robot_named("mgr")), draws=4).mechanisms
+    assert (drawn.ranges, drawn.fixed["acts_on"]) == ({"gain": (0.7, 0.8)}, "effort")
+
+
 def test_what_is_reported_otherwise_than_by_its_parameters_is_left_out_and_said(tmp_path, caplog):
     drift = cause("steady_drift", speed_mm_s=(3.0, 5.0), direction_rad=(0.1, 0.3))
     assert ranges_of(tmp_path, drift, cause("timing_jitter", spread=(0.05, 0.07))) == {

@@ -4,20 +4,22 @@ import numpy as np
 import pytest
 from exact_base import ExactBase, as_simulated, known_noise, session_of
 
+from swarmtwin.diagnosis.cause_report import reported_causes
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.next_recording import lowering_drive, next_recording
+from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 
 OFFERED = {name: mechanism_class(name) for name in ("command_delay", "actuator_lag", "gain_change", "battery_sag")}
 
 
-def explained(base, moved, seed, **drive):
+def explained(base, moved, seed, settings=None, **drive):
     session = session_of(base, np.random.default_rng(seed), moved, **{"runs": 20, "steps": 15, **drive})
-    model = SessionLikelihood(base, known_noise(), session)
+    model = SessionLikelihood(base, known_noise(), session, settings=settings)
     return explanation(model, CauseSearch(model, OFFERED).run())
 
 
@@ -50,6 +52,23 @@ def test_driving_what_is_planned_tells_the_rivals_apart(base):
     assert left < 0.01 < runner_up
     # what nobody knows exactly, as a mechanism's form, is not looked at by the plan; chance is of some four nats
     assert 0.4 * plan.expected_nats < -np.log(left) < 2.5 * plan.expected_nats
+
+
+def test_the_evidence_says_by_how_much_the_nearest_rival_is_behind(base):
+    found = explained(base, late, 4)
+    [cause] = reported_causes(found, np.random.default_rng(0))
+    sets = dict(zip((one.names for one in found.posterior.sets), found.posterior.log_probability, strict=True))
+    behind = sets["command_delay",] - sets["actuator_lag",]
+    assert behind > 0
+    assert f"the likeliest set without it, actuator_lag, is behind by {behind:.1f} nats" in cause.evidence
+    assert f"of the {len(found.model.session)} transitions that were searched rises by" in cause.evidence
+
+
+@pytest.mark.parametrize("periods", [402, 410])
+def test_a_drive_has_as_many_periods_as_are_asked_for(base, periods):
+    settings = DiagnosisSettings.parse({"next_recording": {"periods": periods}}, "here")
+    _, command = next_recording(explained(base, late, 4, settings), (), 1)
+    assert len(command) == periods
 
 
 def test_where_nothing_is_wrong_the_drive_lowers_the_limits_as_far_as_it_says(base):

@@ -488,13 +488,15 @@ def test_motion_lasts_as_long_as_the_period(robots):
         torch.testing.assert_close(log_map(measured), log_map(simulated) * torch.as_tensor(periods)[:, None])
 
 
-@pytest.mark.parametrize("spread", [0.02, 0.1, 0.25])
-def test_the_spread_of_periods_is_read_though_those_that_last_too_long_are_not_seen(robots, spread):
+@pytest.mark.parametrize(
+    ("mean", "spread"), [(1.0, 0.02), (1.0, 0.1), (1.0, 0.25), (1.04, 0.001), (1.04, 0.02), (0.9, 0.2)]
+)
+def test_how_long_periods_last_is_read_though_those_that_last_too_long_are_not_seen(robots, mean, spread):
     jitter = mechanism_class("timing_jitter")
     for robot in (robots["mgr"], robots["mur"]):
-        duration_s = robot.period_s * np.random.default_rng(21).normal(1.0, spread, 20_000)
+        duration_s = robot.period_s * np.random.default_rng(21).normal(mean, spread, 20_000)
         seen = duration_s[duration_s <= robot.longest_gap_s]
-        assert jitter.read_from_clock(seen, robot) == pytest.approx({"spread": spread}, rel=0.03)
+        assert jitter.read_from_clock(seen, robot) == pytest.approx({"spread": spread, "mean": mean}, rel=0.03)
         assert jitter.read_from_clock(np.full(100, robot.period_s), robot) is None
 
 

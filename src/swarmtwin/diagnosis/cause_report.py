@@ -85,13 +85,15 @@ def _missed_nats(explained: Explanation, name: str) -> float:
 
 
 def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str, ...]) -> str:
-    runs = explained.model.session.runs
+    posterior = explained.posterior
+    searched = len(posterior.nothing.fitted.residual)
     beside = "no other cause comes near"
     if rivals:
-        others = [one for one in explained.posterior.sets if rivals[0] in one.names and name not in one.names]
-        behind = explained.posterior.best.evidence - others[0].evidence
-        beside = f"{rivals[0]} in its place is behind by {behind:.1f} nats"
-    return f"log-likelihood of {runs} runs rises by {nats:.0f} with it; {beside}"
+        sets = zip(posterior.sets, posterior.log_probability, strict=True)
+        other, log = next((one, log) for one, log in sets if rivals[0] in one.names and name not in one.names)
+        behind = float(posterior.log_probability[0] - log)
+        beside = f"the likeliest set without it, {' + '.join(other.names)}, is behind by {behind:.1f} nats"
+    return f"log-likelihood of the {searched:,} transitions that were searched rises by {nats:.0f} with it; {beside}"
 
 
 def _estimate(value: float, samples: np.ndarray, unit: str, interval: float) -> Estimate:

@@ -185,7 +185,8 @@ def find_causes(
     reference: Reference, model: SessionLikelihood, own: ReferenceErrors, progress: Progress | None
 ) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
-    kinds, session = sought_kinds(model), model.session
+    session = model.session
+    kinds = {name: kind for name, kind in sought_kinds(model).items() if model.can_show(kind)}
     most = reference.settings.search.most_transitions
     part = model if len(session) <= most else reference.likelihood_of(session.where(session.spread_over(most)))
     return CauseSearch(part, kinds, progress, own).run()

@@ -24,8 +24,7 @@ class LeftOver(NamedTuple):
     Attributes:
         by_situation: that flexible regressions on the situation gain.
         by_history: that one on the errors before gains, beyond what it may gain on the reference.
-        uncertainty: that the first one is expected to gain by the simulation's own uncertainty, where that was asked.
-        most_uncertainty: that it may gain so at most.
+        most_uncertainty: that the first one may gain by the simulation's own uncertainty at most, where that was asked.
         most_lasting_uncertainty: that the second one may gain so at most.
         most_by_chance: that the causes may gain by it at most: each as much as the likeliest one alone, and all
             together no more than the first regression.
@@ -35,7 +34,6 @@ class LeftOver(NamedTuple):
 
     by_situation: float
     by_history: float
-    uncertainty: float = 0.0
     most_uncertainty: float = 0.0
     most_lasting_uncertainty: float = 0.0
     most_by_chance: float = 0.0
@@ -56,14 +54,14 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, refer
     by_variation = nats_by_variation(model, fitted)
     disagreement = member_disagreement(model, arriving(best.mechanisms)) if best.names else model.disagreement
     could_be = float((model.filter(disagreement) ** 2).sum()) / 2  # nats, were all of it predicted
-    if max(by_situation, by_history) <= settings.alarm_nats and (not best.names or gained > could_be):
-        return LeftOver(by_situation, by_history, by_variation=by_variation)
+    beyond_usual = by_history
+    if by_history > settings.nameless_nats:  # less decides nothing, and what is usual costs a pass of the reference
+        beyond_usual -= _usual_nats_by_history(model, reference)
+    if max(by_situation, beyond_usual) <= settings.alarm_nats and (not best.names or gained > could_be):
+        return LeftOver(by_situation, beyond_usual, by_variation=by_variation)
     drawn = nats_of_uncertainty(model, fitted, disagreement, settings.uncertainty_draws)
     expected, spread = drawn.mean(axis=0), drawn.std(axis=0)
     most = np.maximum(expected + settings.uncertainty_spreads * spread, 0.0)
-    usual_nats, ratio = reference.nats_by_history * len(model.session), len(model.session) / reference.transitions
-    # half a squared normal variate, nearly: its standard error is the root of twice as many
-    usual_nats += settings.uncertainty_spreads * math.sqrt(2 * usual_nats * (1 + ratio))
     by_chance, beyond = float(most[0]), math.inf
     if 0 < gained <= by_chance:  # a catalogue follows less of the simulation's error than a regression does
         single = nats_by_chance(model, fitted.residual, settings.chance_draws)
@@ -73,14 +71,20 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, refer
             beyond = nats_beyond_reference(model, own, best.mechanisms)
     return LeftOver(
         by_situation,
-        by_history - usual_nats,
-        max(float(expected[0]), 0.0),
+        beyond_usual,
         float(most[0]),
         float(most[1]),
         by_chance,
         beyond,
         by_variation,
     )
+
+
+def _usual_nats_by_history(model: SessionLikelihood, reference: ReferenceErrors) -> float:
+    """Return the nats that errors before may gain in a session as they do on the reference, at most."""
+    usual, ratio = reference.nats_by_history * len(model.session), len(model.session) / reference.transitions
+    # half a squared normal variate, nearly: its standard error is the root of twice as many
+    return usual + model.settings.verdict.uncertainty_spreads * math.sqrt(2 * usual * (1 + ratio))
 
 
 def _nats_by_situation(model: SessionLikelihood, fitted: FittedMechanisms, errors: np.ndarray) -> float:

@@ -38,8 +38,8 @@ def chosen_randomisation(
     return Randomisation.read(given, simulation, draws)
 
 
-def measured_ranges(folder: Path, simulation: Simulation) -> dict[str, dict[str, list[float]]]:
-    """Return the causes that a diagnosis names, with the intervals of their parameters, within the bounds of these.
+def measured_ranges(folder: Path, simulation: Simulation) -> dict[str, dict[str, list[float] | str]]:
+    """Return the causes that a diagnosis names: intervals of their parameters, within the bounds of these, and form.
 
     Args:
         folder: as `diagnose` left it.
@@ -66,12 +66,15 @@ def measured_ranges(folder: Path, simulation: Simulation) -> dict[str, dict[str,
     return ranges
 
 
-def _ranges_of(cause: Cause, simulation: Simulation) -> dict[str, list[float]]:
-    """Return the intervals of a cause's parameters; nothing where it is reported otherwise than by these."""
-    bounds = mechanism_class(cause.name).bounds_of(simulation.robot, simulation.conditions)
-    if set(bounds) != set(cause.parameters):
+def _ranges_of(cause: Cause, simulation: Simulation) -> dict[str, list[float] | str]:
+    """Return a cause's form and its parameters' intervals; nothing where it is reported otherwise than by these."""
+    kind = mechanism_class(cause.name)
+    bounds = kind.bounds_of(simulation.robot, simulation.conditions)
+    needed = {name for name in bounds if kind.model_fields[name].is_required()}
+    if not needed <= set(cause.parameters) <= set(bounds):
         return {}
-    return {
+    ranges = {
         name: [float(np.clip(end, bounds[name].low, bounds[name].high)) for end in (found.low, found.high)]
         for name, found in cause.parameters.items()
     }
+    return {**cause.form, **ranges}

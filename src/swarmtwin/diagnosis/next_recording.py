@@ -190,9 +190,10 @@ def _commands(robot: Robot, settings: NextRecordingSettings, rng: np.random.Gene
     """Return commands (P, m): at random, held, to and fro between the limits, likewise held for long, small ones."""
     low, high, periods = robot.command_low, robot.command_high, settings.periods
     uniform = rng.uniform(low, high, (periods, len(low)))
-    held = np.repeat(rng.uniform(low, high, (periods // 4, len(low))), 4, axis=0)
+    held = np.repeat(rng.uniform(low, high, (-(-periods // 4), len(low))), 4, axis=0)[:periods]
     extremes = np.where(rng.random((periods, len(low))) < 0.5, low, high)
-    long_held = np.repeat(np.where(rng.random((periods // 10, len(low))) < 0.5, low, high), 10, axis=0)
+    seldom = np.where(rng.random((-(-periods // 10), len(low))) < 0.5, low, high)
+    long_held = np.repeat(seldom, 10, axis=0)[:periods]
     middle = np.clip(0.0, low, high)
     small = middle + settings.small_share * (uniform - middle)
     return [np.round(command, 3) for command in (uniform, held, extremes, long_held, small)]

@@ -249,8 +249,8 @@ class VerdictSettings(StrictModel):
         held_out_every: of so many runs the last is held out: nothing is fitted to it, gains are measured on it.
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
-        nameless_nats: left over by the causes from which on none of them is named: where nothing is left, a likelihood
-            ratio is as large in one of a thousand sessions at most (Markov's inequality).
+        nameless_nats: left over by the causes from which on none of them is named: where nothing is left, regressions
+            gain as much in 2 % of sessions by chance (400 draws of noise).
         uncertainty_draws: of the simulation's own error, for what it would leave over where nothing is wrong.
         chance_draws: likewise, for what causes would gain by it.
         uncertainty_spreads: standard deviations over draws by which that may lie above their mean: of clean sessions

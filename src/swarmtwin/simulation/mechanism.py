@@ -82,9 +82,8 @@ class Moment:
         neighbours: (N, M, 3) the other vehicles in the vehicle's own frame: forward_mm, left_mm, turn_rad; NaN where
             there is none.
         neighbours_after: (N, M, 3) where they are at its end, in the same frame; None: not known, they stay.
-        given: (N, m) the commands that the actuators are given in this period, and `given_before` in the one before:
-            None until the controller has passed them on, in the hooks of link and controller.
-        given_before: see `given`.
+        given: (N, m) the commands that the actuators are given in this period: None until the controller has passed
+            them on, in the hooks of link and controller.
         velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, from which a dynamics model with momentum goes on: the
             mean of the period before, without what mechanisms made of it; None: not known.
     """
@@ -97,7 +96,6 @@ class Moment:
     neighbours: Tensor
     neighbours_after: Tensor | None = None
     given: Tensor | None = None
-    given_before: Tensor | None = None
     velocity: Tensor | None = None
 
     def of_rows(self, rows: np.ndarray) -> "Moment":

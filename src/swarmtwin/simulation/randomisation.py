@@ -60,7 +60,7 @@ class RandomMechanism(StrictModel):
             raise UserError(f"{where}: no range at all: give one, {_example(kind, simulation)}, or leave it out")
         known = _fields_in(simulation, name) | forms
         fixed = {field: value for field, value in known.items() if field not in ranges}
-        if missing := [parameter for parameter in bounds if parameter not in {*ranges, *fixed}]:
+        if missing := [one for one in bounds if kind.model_fields[one].is_required() and one not in {*ranges, *fixed}]:
             raise UserError(f"{where}: no range for {', '.join(missing)}: add one, {_example(kind, simulation)}")
         mechanism({"name": name, **fixed, **{one: low for one, (low, _) in ranges.items()}}, where)
         return cls(name=name, of=_owner(content.get("of", "world"), kind, where), ranges=ranges, fixed=fixed)

@@ -133,7 +133,7 @@ def with_own_memory(
 
 def _given(twists: BaseTwists, place: int) -> Moment:
     """Return the moment in which vehicles are given the command in a place."""
-    return replace(twists.moment, given=twists.setting(place), given_before=twists.setting(place + 1))
+    return replace(twists.moment, given=twists.setting(place))
 
 
 def period_motion(

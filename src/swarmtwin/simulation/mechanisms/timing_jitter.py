@@ -1,5 +1,6 @@
-"""Periods differ from nominal, and the motion goes with them: a busy controller."""
+"""Periods differ from nominal, always or by chance, and the motion goes with them: a busy controller."""
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
@@ -14,11 +15,12 @@ from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
 
 class Config(Mechanism):
-    """The motion lasts as long as the period really does; `spread` is the periods' standard deviation over nominal."""
+    """The motion lasts as long as the period: `mean` times nominal, with a standard deviation of `spread` of it."""
 
     stage: ClassVar = "clock"
     words: ClassVar = (
-        "control periods vary, with a standard deviation of {spread} of the nominal one, and the motion with them"
+        "control periods last {mean} times the nominal one on average, with a standard deviation of {spread} of it, "
+        "and the motion with them"
     )
     remedy: ClassVar = "take load off the controller, or use the measured duration as an input"
     parameters: ClassVar[Mapping[str, Parameter]] = {}
@@ -26,41 +28,46 @@ class Config(Mechanism):
 
     name: Literal["timing_jitter"] = "timing_jitter"
     spread: float
+    mean: float = 1.0
 
     @classmethod
     def read_from_clock(cls, duration_s: np.ndarray, robot: Robot) -> dict[str, float] | None:
-        """Read the spread off the clock; None where periods differ by no more than times are rounded to.
+        """Read both off the clock; None where periods differ from nominal by no more than times are rounded to.
 
-        It is the likeliest of normal deviations from nominal that are not seen where a period lasts too long.
+        They are the likeliest of normal periods that are not seen where they last too long.
         """
-        period_s, longest = robot.period_s, robot.longest_gap_s / robot.period_s - 1
-        deviation = duration_s / period_s - 1
-        if np.std(deviation) <= 0.003:
+        lasted, longest = duration_s / robot.period_s, robot.longest_gap_s / robot.period_s
+        if math.sqrt(((lasted - 1) ** 2).mean()) <= 0.003:
             return None
-        squares = float((deviation**2).mean())
+        mean, variance = float(lasted.mean()), float(lasted.var())
+        if mean + 5 * math.sqrt(variance) < longest:  # none of these lasts too long
+            return {"spread": math.sqrt(variance), "mean": mean}
 
-        def loss(log_spread: float) -> float:
-            spread = np.exp(log_spread)
-            return float(squares / (2 * spread**2) + log_spread + stats.norm.logcdf(longest / spread))
+        def loss(values: np.ndarray) -> float:
+            at, spread = values[0], np.exp(values[1])
+            unseen = stats.norm.logcdf((longest - at) / spread)
+            return float((variance + (mean - at) ** 2) / (2 * spread**2) + values[1] + unseen)
 
-        found = optimize.minimize_scalar(loss, bounds=(np.log(1e-3), 0.0), method="bounded", options={"xatol": 1e-4})
-        return {"spread": float(np.exp(found.x))}
+        found = optimize.minimize(
+            loss, (mean, math.log(variance) / 2), method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-8}
+        )
+        return {"spread": float(np.exp(found.x[1])), "mean": float(found.x[0])}
 
     @classmethod
     def bounds_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
-        """Allow periods that often last half as long again."""
-        return {"spread": Parameter(0.0, 0.5, 0.0, "", ())}
+        """Allow periods that often last half as long again, and on average from half as long to twice."""
+        return {"spread": Parameter(0.0, 0.5, 0.0, "", ()), "mean": Parameter(0.5, 2.0, 1.0, "", ())}
 
     @classmethod
     def units(cls, robot: Robot, conditions: SessionConditions) -> dict[str, str]:
-        """Return the unit of what is reported."""
-        return {"spread": ""}
+        """Return the units of what is reported."""
+        return {"spread": "", "mean": ""}
 
     def follows_clock(self) -> bool:
         """Say that the motion lasts as long as the period."""
         return True
 
     def draw_duration_s(self, count: int, period_s: float, rng: torch.Generator) -> Tensor:
-        """Draw the lengths (N,) of periods, normal about nominal; none is shorter than a tenth of it."""
+        """Draw the lengths (N,) of periods, normal; none is shorter than a tenth of the nominal one."""
         drawn = torch.randn(count, generator=rng, dtype=torch.float64, device=rng.device)
-        return period_s * (1.0 + self.spread * drawn).clamp(min=0.1)
+        return period_s * (self.mean + self.spread * drawn).clamp(min=0.1)

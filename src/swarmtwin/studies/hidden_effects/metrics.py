@@ -270,12 +270,13 @@ def _methods(table: pd.DataFrame) -> dict[str, Proportions]:
     for method, (named, first, exact) in METHODS.items():
         cases = table if method == "diagnosis" else table[table.with_baselines]
         clear = cases[(cases.kind == "one") & in_rise_bin(cases, CLEAR)]
+        outside = cases[cases.kind == "outside"]
         if len(cases):
             methods[method] = {
                 "named_first": Proportion.of(clear[first]),
                 "exact": Proportion.of(clear[exact]),
                 "accused": Proportion.of(cases[named][cases.kind == "clean"] != ""),
-                "outside": Proportion.of(cases[named][cases.kind == "outside"] == ""),
+                "outside": Proportion.of((outside[named] == "") & (outside.verdict != "failed")),
             }
     return methods
 

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
-from swarmtwin.diagnosis.reference import Reference, conditions_of
+from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.geometry import exp_map, log_map
 from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
@@ -29,7 +29,7 @@ def fitted_causes(reference: Reference, transitions: Transitions, most_transitio
         transitions: N measured ones.
         most_transitions: fitted to, the first runs: about as many as fit into a few seconds.
     """
-    conditions = conditions_of(transitions).model_copy(update={"track_mm": reference.session.conditions.track_mm})
+    conditions = reference.conditions_for(transitions)
     session = MeasuredSession.of(transitions, conditions)
     if len(session) > most_transitions:
         last = session.run[np.argsort(session.run, kind="stable")[most_transitions]]
