@@ -36,15 +36,20 @@ class StandardisedResidual:
 
     @classmethod
     def of(
-        cls, model: SessionLikelihood, fitted: FittedMechanisms, weight: np.ndarray | None = None
+        cls,
+        model: SessionLikelihood,
+        fitted: FittedMechanisms,
+        weight: np.ndarray | None = None,
+        explained: SessionLikelihood | None = None,
     ) -> "StandardisedResidual":
-        """Take the residuals that fitted mechanisms leave."""
+        """Take the residuals that fitted mechanisms leave; of noise, those of the session as it is `explained`."""
         clip_z = model.settings.dependence.clip_z
         clipped = np.clip(fitted.whitened, -clip_z, clip_z)
         weight = np.ones(len(clipped)) if weight is None else weight
         twist = model.simulated.numpy()
         size = twist / np.maximum(twist.std(axis=0), 1e-9)
-        noise = model.by_usual_noise(model.unpredicted_errors)
+        explained = explained or model
+        noise = explained.by_usual_noise(explained.unpredicted_errors)
         effects = np.concatenate(model.effects.columns, axis=1).reshape(*clipped.shape, -1)
         return cls(model.session, clipped, noise, size, effects, weight)
 

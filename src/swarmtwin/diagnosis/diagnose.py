@@ -64,10 +64,9 @@ def diagnose(
     held_out = runs.rows
     model = reference.likelihood_of(session.where(~held_out))
 
-    # 2. Dependence
+    # 2. Dependence: run in the end, since what is noise is known beside the causes alone
     _tell(progress, "tests")
     tests = DependenceTests(reference, model, seed)
-    dependences = tests.run(model, model.evaluate([]))
 
     # 3. Causes
     own = errors_of(reference)
@@ -81,6 +80,7 @@ def diagnose(
         nothing = left_by_nothing(model, found, own)
         if nothing.verdict == "no_gap":  # what these causes gain was the fitted runs' own
             explained, judged = nothing, runs.judge(nothing)
+    dependences = tests.run(model, model.evaluate([]), explained.model)
     after = tests.run(explained.model, explained.best.fitted) if explained.best.names else dependences
     extended, objection, unfitted = judged.extended, judged.objection, runs.unfitted
     named = reported_causes(explained, rng)
@@ -175,9 +175,11 @@ class DependenceTests:
         weight = model.session.covariate_overlap(own.session, neighbours)
         self._of_reference = StandardisedResidual.of(own, own.evaluate([]), weight)
 
-    def run(self, model: SessionLikelihood, fitted: FittedMechanisms) -> list[Dependence]:
-        """Test what fitted mechanisms leave of a session."""
-        left = StandardisedResidual.of(model, fitted)
+    def run(
+        self, model: SessionLikelihood, fitted: FittedMechanisms, explained: SessionLikelihood | None = None
+    ) -> list[Dependence]:
+        """Test what fitted mechanisms leave of a session; its noise is that of the session as it is `explained`."""
+        left = StandardisedResidual.of(model, fitted, explained=explained)
         return dependence_tests(left, self._of_reference, self._seed, model.settings.dependence, self._discrepancy)
 
 
