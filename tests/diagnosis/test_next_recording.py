@@ -60,7 +60,7 @@ def test_the_evidence_says_by_how_much_the_nearest_rival_is_behind(base):
     sets = dict(zip((one.names for one in found.posterior.sets), found.posterior.log_probability, strict=True))
     behind = sets["command_delay",] - sets["actuator_lag",]
     assert behind > 0
-    assert f"the likeliest set without it, actuator_lag, is behind by {behind:.1f} nats" in cause.evidence
+    assert f"the most probable set without it, actuator_lag, is less probable by {behind:.1f} nats" in cause.evidence
     assert f"of the {len(found.model.session)} transitions that were searched rises by" in cause.evidence
 
 

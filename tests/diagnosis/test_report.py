@@ -428,7 +428,7 @@ def test_what_is_left_is_said_without_a_direction_that_nobody_measured():
     diagnosis = made_result(depends_on=("time", "spread"), left_over=("position", "spread", "tails"))
     assert dependence_words(diagnosis) == (
         "The error depends on the time since the session began. Errors scatter more than the ordinary noise. "
-        "Beside the causes named, it still depends on the place in the arena. Beside them, how errors scatter and how "
+        "What the extension leaves depends on the place in the arena. With the extension, how errors scatter and how "
         "common large errors are still differs from the ordinary noise."
     )
     tighter = Dependence(part="spread", statistic=1, p_value=0, explained=-0.2, found=True)
@@ -439,7 +439,7 @@ def test_what_is_left_is_said_without_a_direction_that_nobody_measured():
 def test_tests_that_find_what_is_no_gap_are_not_denied():
     one, *others = made_result("no_gap").tests
     diagnosis = made_result("no_gap", tests=(one.model_copy(update={"found": True}), *others))
-    words = f"1 of {len(diagnosis.tests)} tests find a difference from the reference, but no larger than what is"
+    words = f"1 of {len(diagnosis.tests)} tests show a difference from the reference, but taken together"
     assert dependence_words(diagnosis).startswith(words)
 
 

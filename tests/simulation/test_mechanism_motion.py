@@ -500,6 +500,17 @@ def test_how_long_periods_last_is_read_though_those_that_last_too_long_are_not_s
         assert jitter.read_from_clock(np.full(100, robot.period_s), robot) is None
 
 
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_periods_of_two_lengths_are_read_as_periods_that_may_be(robots, share):
+    """Most last nearly too long: no normal distribution that was cut off there is likelier than any other."""
+    robot = robots["mgr"]
+    longest = robot.longest_gap_s / robot.period_s
+    lasted = np.where(np.random.default_rng(22).random(1000) < share, 1.0, 0.99 * longest)
+    found = mechanism_class("timing_jitter").read_from_clock(lasted * robot.period_s, robot)
+    assert 1.0 < found["mean"] <= longest
+    assert 0.05 < found["spread"] <= 0.5
+
+
 def test_only_a_change_of_noise_multiplies_noise(robots):
     for name in mechanism_names():
         kind = mechanism_class(name)

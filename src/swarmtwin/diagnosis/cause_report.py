@@ -90,9 +90,9 @@ def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str,
     beside = "no other cause comes near"
     if rivals:
         sets = zip(posterior.sets, posterior.log_probability, strict=True)
-        other, log = next((one, log) for one, log in sets if rivals[0] in one.names and name not in one.names)
-        behind = float(posterior.log_probability[0] - log)
-        beside = f"the likeliest set without it, {' + '.join(other.names)}, is behind by {behind:.1f} nats"
+        other, log = next((one, log) for one, log in sets if name not in one.names)
+        behind, named = float(posterior.log_probability[0] - log), " + ".join(other.names) or "no cause"
+        beside = f"the most probable set without it, {named}, is less probable by {behind:.1f} nats"
     return f"log-likelihood of the {searched:,} transitions that were searched rises by {nats:.0f} with it; {beside}"
 
 
@@ -109,11 +109,13 @@ def _clock_samples(model: SessionLikelihood, mechanism: Mechanism, rng: np.rando
     duration_s = session.transitions.duration_s
     rows = [np.flatnonzero(session.run == run) for run in range(session.runs)]
     samples: dict[str, list[float]] = {name: [] for name in mechanism.reported()}
+    bounds = type(mechanism).bounds_of(model.robot, session.conditions)
+    usual = {name: bounds[name].null_value or 0.0 for name in samples}
     for _ in range(model.settings.estimation.clock_bootstraps):
         chosen = np.concatenate([rows[run] for run in rng.integers(0, len(rows), len(rows))])
         seen = type(mechanism).read_from_clock(duration_s[chosen], model.robot) or {}
         for name, values in samples.items():
-            values.append(seen.get(name, 0.0))
+            values.append(seen.get(name, usual[name]))
     return {name: np.array(values) for name, values in samples.items()}
 
 

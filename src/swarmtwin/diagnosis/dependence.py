@@ -1,5 +1,6 @@
 """Step 2. What a residual depends on: score tests with runs as blocks, false discoveries controlled over them all."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy import stats
 
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.random_effects import RandomEffects
 from swarmtwin.diagnosis.result import Dependence
 from swarmtwin.diagnosis.settings import DependenceSettings
 from swarmtwin.simulation.residual_model import residual_encoding
@@ -22,8 +24,8 @@ class StandardisedResidual:
         residual: (N, 3) standardised by the session's noise, clipped.
         by_usual_noise: (N, 3) errors less what they depend on, standardised by the reference's noise, not clipped.
         size: (N, 3) simulated twists over usual ones.
-        effects: (N, 3, K) by what the residual may differ by chance, in all of the session alike, each in units of its
-            standard deviation: what is uncertain in the simulation, and how units differ. K may be 0.
+        effects: (3 N, k) in one or more blocks, by what the residual may differ by chance, in all of the session alike,
+            each in units of its standard deviation: what is uncertain in the simulation, and how units differ.
         weight: (N,) how much each transition counts.
     """
 
@@ -31,7 +33,7 @@ class StandardisedResidual:
     residual: np.ndarray
     by_usual_noise: np.ndarray
     size: np.ndarray
-    effects: np.ndarray
+    effects: tuple[np.ndarray, ...]
     weight: np.ndarray
 
     @classmethod
@@ -43,15 +45,31 @@ class StandardisedResidual:
         explained: SessionLikelihood | None = None,
     ) -> "StandardisedResidual":
         """Take the residuals that fitted mechanisms leave; of noise, those of the session as it is `explained`."""
-        clip_z = model.settings.dependence.clip_z
-        clipped = np.clip(fitted.whitened, -clip_z, clip_z)
-        weight = np.ones(len(clipped)) if weight is None else weight
-        twist = model.simulated.numpy()
-        size = twist / np.maximum(twist.std(axis=0), 1e-9)
         explained = explained or model
-        noise = explained.by_usual_noise(explained.unpredicted_errors)
-        effects = np.concatenate(model.effects.columns, axis=1).reshape(*clipped.shape, -1)
-        return cls(model.session, clipped, noise, size, effects, weight)
+        whitened = explained.filter(explained.unpredicted_errors[..., None])[..., 0]
+        of_units = explained.filter.inverse(explained.effects.of_sizes(explained.effects.sizes(whitened)))
+        noise = explained.by_usual_noise(explained.unpredicted_errors - of_units)
+        return cls.of_residual(model, fitted.whitened, noise, model.effects, weight)
+
+    @classmethod
+    def of_residual(
+        cls,
+        model: SessionLikelihood,
+        residual: np.ndarray,
+        noise: np.ndarray,
+        effects: RandomEffects,
+        weight: np.ndarray | None = None,
+    ) -> "StandardisedResidual":
+        """Take residuals (N, 3) as they are, and what is noise of them; vehicles in contact do not count."""
+        clip_z, twist = model.settings.dependence.clip_z, model.simulated.numpy()
+        size = twist / np.maximum(twist.std(axis=0), 1e-9)
+        weight = np.where(model.in_contact, 0.0, 1.0 if weight is None else weight)
+        return cls(model.session, np.clip(residual, -clip_z, clip_z), noise, size, effects.columns, weight)
+
+    def effects_along(self, regressors: np.ndarray, axis: int) -> np.ndarray:
+        """Return the products (K, q) of the effects on an axis with regressors (N, q)."""
+        blocks = [block.reshape(len(regressors), 3, -1)[:, axis].T @ regressors for block in self.effects]
+        return np.concatenate([*blocks, np.empty((0, regressors.shape[1]))])
 
 
 def dependence_tests(
@@ -60,6 +78,7 @@ def dependence_tests(
     seed: int,
     settings: DependenceSettings | None = None,
     reference_discrepancy: bool = True,
+    usual_spread: float = 0.06,
 ) -> list[Dependence]:
     """Test what residuals depend on beyond what the reference's own residuals do.
 
@@ -74,13 +93,14 @@ def dependence_tests(
         seed: of the draws.
         settings: of the tests; None: the defaults.
         reference_discrepancy: whether a dependence that the reference shows as well is no news.
+        usual_spread: standard deviation between sessions of the log of the noise's: less than two of them is no news.
     """
     settings = settings or DependenceSettings()
     rng = np.random.default_rng(seed)
     tests = _situation_tests(measured, reference if reference_discrepancy else None, settings, rng)
     tests = [_joined_with_runs(test, measured) if test.part == "time" else test for test in tests]
     tests += _shape_tests(measured, reference, settings, rng)
-    return _controlled(tests, settings)
+    return _controlled(tests, settings, usual_spread)
 
 
 def _situation_tests(
@@ -177,16 +197,22 @@ def _tested(
     statistic, drawn = 0.0, np.zeros(settings.draws)
     centre, spread = functions.mean(axis=0), np.maximum(functions.std(axis=0), 1e-9)
     most = max(2, measured.session.runs // settings.runs_a_regressor)
+    sizes, sizes_there = (
+        rng.normal(size=(settings.draws, sum(block.shape[1] for block in one.effects))) if one else np.empty(0)
+        for one in (measured, reference)
+    )
     for axis in range(3):
 
         def regressors(values: np.ndarray, of: StandardisedResidual, axis: int = axis) -> np.ndarray:
             alone = (values - centre) / spread
             return np.concatenate([alone, alone * of.size[:, [axis]]], axis=1)[:, :most]
 
-        value, by_chance, information = _coefficients(regressors(functions, measured), measured, axis, settings, rng)
+        value, by_chance, information = _coefficients(
+            regressors(functions, measured), measured, sizes, axis, settings, rng
+        )
         if reference and reference_functions is not None and reference_functions.shape[1] == functions.shape[1]:
             there = regressors(reference_functions, reference)
-            other, other_by_chance, _ = _coefficients(there, reference, axis, settings, rng)
+            other, other_by_chance, _ = _coefficients(there, reference, sizes_there, axis, settings, rng)
             value, by_chance = value - other, by_chance - other_by_chance
         statistic += float(value @ information @ value)
         drawn += np.einsum("dp,pq,dq->d", by_chance, information, by_chance)
@@ -200,11 +226,15 @@ def _tested(
 def _coefficients(
     regressors: np.ndarray,
     residuals: StandardisedResidual,
+    sizes: np.ndarray,
     axis: int,
     settings: DependenceSettings,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return coefficients (q,), coefficients by chance (draws, q), and their information (q, q)."""
+    """Return coefficients (q,), coefficients by chance (draws, q), and their information (q, q).
+
+    `sizes` (draws, K) are those of the effects, by chance: one of each for all axes.
+    """
     weighted = regressors * residuals.weight[:, None]
     information = regressors.T @ weighted
     ridge = settings.ridge * np.trace(information) / len(information)
@@ -212,28 +242,33 @@ def _coefficients(
     by_run = residuals.session.by_run(weighted * residuals.residual[:, [axis]])
     value = inverse @ by_run.sum(axis=0)
     signs = rng.choice([-1.0, 1.0], (settings.draws, len(by_run)))
-    by_chance = signs @ by_run @ inverse
-    if residuals.effects.shape[-1]:
-        moved = residuals.effects[:, axis].T @ weighted @ inverse
-        by_chance = by_chance + rng.normal(size=(settings.draws, len(moved))) @ moved
+    by_chance = (signs @ by_run + sizes @ residuals.effects_along(weighted, axis)) @ inverse
     return value, by_chance, information
 
 
 def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Dependence:
-    """Join to the test of time whether runs differ: both halves of one err alike, ahead or turning, unlike all runs."""
-    session = residuals.session
-    later = _in_second_half(session)
-    products, shared = np.zeros(session.runs), 0.0
+    """Join to the test of time whether runs differ: both halves of one share an error, ahead or turning.
+
+    That is one of a vehicle in a run beyond its mean over all its runs.
+    """
+    vehicle = residuals.session.transitions.vehicle
+    _, part = np.unique(np.column_stack([residuals.session.run, vehicle]), axis=0, return_inverse=True)
+    part = part.ravel()
+    parts = int(part.max()) + 1
+    owner = np.zeros(parts, int)
+    owner[part] = vehicle
+    later = _in_second_half(part)
+    products, shared = np.zeros(parts), 0.0
     for axis in (0, 2):
         size = residuals.size[:, axis]
         for regressor in (np.ones(len(size)), size):
             slopes, weights = (
-                [session.by_run(values * (half == later)) for half in (False, True)]
+                np.stack([np.bincount(part, values * (half == later), parts) for half in (False, True)])
                 for values in (regressor * residuals.residual[:, axis], regressor**2)
             )
-            of_all = np.sum(slopes) / max(np.sum(weights), 1e-9)
-            slopes = [one - of_all * weight for one, weight in zip(slopes, weights, strict=True)]
-            product = slopes[0] * slopes[1] / np.sqrt(np.maximum(weights[0] * weights[1], 1e-9))
+            usual, known = (np.bincount(owner, both.sum(axis=0)) for both in (slopes, weights))
+            beyond = slopes - (usual / np.maximum(known, 1e-9))[owner] * weights
+            product = beyond.prod(axis=0) / np.sqrt(np.maximum(weights.prod(axis=0), 1e-9))
             products += product
             shared += float(product.sum())
     deviation = float(products.sum() / max(np.sqrt((products**2).sum()), 1e-12))
@@ -249,10 +284,8 @@ def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Depe
     return test.model_copy(update=update)
 
 
-def _in_second_half(session: MeasuredSession) -> np.ndarray:
-    """Return (N,) whether a transition lies in the second half of its vehicle's part of its run."""
-    vehicle = session.transitions.vehicle
-    part = session.run * (int(vehicle.max()) + 1) + vehicle
+def _in_second_half(part: np.ndarray) -> np.ndarray:
+    """Return (N,) whether a transition lies in the second half of its part of the session, which parts (N,) number."""
     order = np.argsort(part, kind="stable")
     rank = np.empty(len(part), int)
     rank[order] = np.arange(len(part)) - np.searchsorted(part[order], part[order])
@@ -288,10 +321,10 @@ def _shape_tests(
     return found
 
 
-def _controlled(tests: list[Dependence], settings: DependenceSettings) -> list[Dependence]:
+def _controlled(tests: list[Dependence], settings: DependenceSettings, usual_spread: float) -> list[Dependence]:
     """Mark what stands after Benjamini and Hochberg, and is large enough to be worth anyone's time."""
     stands = stats.false_discovery_control([test.p_value for test in tests]) <= settings.false_discovery_rate
-    least = {"spread": settings.least_spread_change, "tails": settings.least_tails_change}
+    least = {"spread": math.expm1(4 * usual_spread), "tails": settings.least_tails_change}
     return [
         test.model_copy(
             update={"found": bool(stood) and abs(test.explained) >= least.get(test.part, settings.least_explained)}

@@ -28,6 +28,7 @@ from swarmtwin.diagnosis.estimation import Progress
 from swarmtwin.diagnosis.explanation import Explanation, explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
+from swarmtwin.diagnosis.motion_noise_change import usual_noise_spread
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
@@ -64,25 +65,25 @@ def diagnose(
     held_out = runs.rows
     model = reference.likelihood_of(session.where(~held_out))
 
-    # 2. Dependence: run in the end, since what is noise is known beside the causes alone
-    _tell(progress, "tests")
-    tests = DependenceTests(reference, model, seed)
-
     # 3. Causes
     own = errors_of(reference)
     found = find_causes(reference, model, own, progress)
     explained = explanation(model, found, own)
 
-    # 4. Finding
+    # 4. Finding, and 2. dependence: what is noise is known beside the causes alone
     _tell(progress, "what is left")
     judged = runs.judge(explained)
     if judged.objection and explained.may_be_chance:
         nothing = left_by_nothing(model, found, own)
         if nothing.verdict == "no_gap":  # what these causes gain was the fitted runs' own
             explained, judged = nothing, runs.judge(nothing)
+    tests = DependenceTests(reference, model, seed)
     dependences = tests.run(model, model.evaluate([]), explained.model)
-    after = tests.run(explained.model, explained.best.fitted) if explained.best.names else dependences
     extended, objection, unfitted = judged.extended, judged.objection, runs.unfitted
+    parts = ((~held_out, explained.model), (held_out, unfitted.explained_by(explained.best.mechanisms)))
+    left = [part.by_usual_noise(_errors_shown(part, explained)) for _, part in parts]
+    explained_left = [_residual_of(extended, part) for _, part in parts] if extended else left
+    after = tests.of_extension(parts[1][1], extended, explained_left[1]) if extended and not objection else []
     named = reported_causes(explained, rng)
     limits = detection_limits(explained, unfitted)
     plan, drive = next_recording(explained, limits, seed)
@@ -92,7 +93,7 @@ def diagnose(
         depends_on=tuple(test.part for test in dependences if test.found) if explained.verdict != "no_gap" else (),
         gain=judged.gain,
         next_recording=None if objection else plan,
-        left_over=tuple(test.part for test in after if test.found) if named and explained.is_something_left else (),
+        left_over=tuple(test.part for test in after if test.found),
         tests=tuple(dependences),
         robot=reference.robot.name,
         vehicles=tuple(session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle)),
@@ -105,19 +106,15 @@ def diagnose(
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         seed=seed,
     )
-    parts = ((~held_out, explained.model), (held_out, unfitted.explained_by(explained.best.mechanisms)))
-    residual = _together((rows, part.by_usual_noise(part.errors(()))) for rows, part in parts)
-    explained_residual = residual
-    if extended:
-        explained_residual = _together((rows, _residual_of(extended, part)) for rows, part in parts)
+    rows = [one for one, _ in parts]
     return DiagnosedSession(
         result=result,
         simulation=runs.simulation,
         extended=extended,
         transitions=session.transitions,
         held_out=held_out,
-        residual_before=residual,
-        residual_after=explained_residual,
+        residual_before=_together(zip(rows, left, strict=True)),
+        residual_after=_together(zip(rows, explained_left, strict=True)),
         runs_before=runs.errors.open_loop,
         runs_after=judged.errors.open_loop,
         next_drive=None if objection else drive,
@@ -180,7 +177,16 @@ class DependenceTests:
     ) -> list[Dependence]:
         """Test what fitted mechanisms leave of a session; its noise is that of the session as it is `explained`."""
         left = StandardisedResidual.of(model, fitted, explained=explained)
-        return dependence_tests(left, self._of_reference, self._seed, model.settings.dependence, self._discrepancy)
+        return self._of(left, explained or model)
+
+    def of_extension(self, model: SessionLikelihood, extended: Simulation, residual: np.ndarray) -> list[Dependence]:
+        """Test the residuals (N, 3) of an extended simulation, which are standardised by the reference's noise."""
+        effects = model.effects_with(extended.mechanisms)
+        return self._of(StandardisedResidual.of_residual(model, residual, residual, effects), model)
+
+    def _of(self, left: StandardisedResidual, explained: SessionLikelihood) -> list[Dependence]:
+        usual, settings = usual_noise_spread(explained, explained.explained), explained.settings.dependence
+        return dependence_tests(left, self._of_reference, self._seed, settings, self._discrepancy, usual)
 
 
 def find_causes(
@@ -232,6 +238,12 @@ def _extension(extended: Simulation | None) -> Extension:
     if extended.residual is None:
         return "mechanisms"
     return "mechanisms_and_learned_residual" if extended.mechanisms else "learned_residual"
+
+
+def _errors_shown(model: SessionLikelihood, explained: Explanation) -> np.ndarray:
+    """Return the errors (N, 3) of the simulation; without a gap, less what units and its uncertainty explain."""
+    errors = model.errors(())
+    return errors - model.evaluate([]).effect_errors if explained.verdict == "no_gap" else errors
 
 
 def _residual_of(extended: Simulation, model: SessionLikelihood) -> np.ndarray:

@@ -251,7 +251,7 @@ def confirmed_from(error: np.ndarray, change: np.ndarray, run: np.ndarray, power
         power: probability.
     """
     _, number = np.unique(run, return_inverse=True)
-    known, wanted = _sizes(error), _interval_size(int(number.max()) + 1) + float(stats.norm.ppf(power))
+    known, wanted = _sizes(error), _interval_size(max(int(number.max()) + 1, 2)) + float(stats.norm.ppf(power))
 
     def is_confirmed(factor: float) -> bool:
         rises = [_sizes(error + sign * factor * change) - known for sign in (1, -1)]  # chance alone goes either way
@@ -283,21 +283,19 @@ def _gain(before: np.ndarray, after: np.ndarray, run: np.ndarray, draws: int, rn
     np.add.at(sums, run, np.column_stack([before - after, np.ones(len(before))]))
     weights = rng.multinomial(len(sums), np.full(len(sums), 1 / len(sums)), draws)
     drawn = weights @ sums
+    means = float(before.mean()), float(after.mean())
+    if len(sums) < 2:  # how runs differ is not known: it may be anything from all that errors are to as much again
+        return Gain(before=means[0], after=means[1], low=-abs(means[1]), high=abs(means[0]))
     ends = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), [0.025, 0.975])
     mean = float((before - after).mean())
-    low, high = mean + (ends - mean) * _small_sample_factor(len(sums))
-    return Gain(before=float(before.mean()), after=float(after.mean()), low=float(low), high=float(high))
-
-
-def _small_sample_factor(runs: int) -> float:
-    """Return by how much wider an interval of so many runs is than quantiles of bootstraps: Student's t, and variance.
-
-    A bootstrap's variance is too small by one in `runs`, and it knows nothing of the variance's own error (Efron and
-    Tibshirani, 1993, chapter 12). One run says nothing: the interval of two is twelve times as wide as theirs.
-    """
-    return float(_interval_size(runs) / stats.norm.ppf(0.975)) * math.sqrt(runs / max(runs - 1, 1))
+    low, high = mean + (ends - mean) * _interval_size(len(sums)) / stats.norm.ppf(0.975)
+    return Gain(before=means[0], after=means[1], low=float(low), high=float(high))
 
 
 def _interval_size(runs: int) -> float:
-    """Return half the width of a 95 % interval of a mean over runs, in its standard errors."""
-    return float(stats.t.ppf(0.975, max(runs - 1, 1)))
+    """Return half the width of a 95 % interval of a mean over runs, two or more, in the deviations of its bootstraps.
+
+    These are too narrow by one in `runs` in variance, and know nothing of the error of a variance, as Student's t does
+    (Efron and Tibshirani, 1993, chapter 12). Of two runs an interval is 9 times as wide as their quantiles.
+    """
+    return float(stats.t.ppf(0.975, runs - 1)) * math.sqrt(runs / (runs - 1))

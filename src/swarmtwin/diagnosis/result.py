@@ -221,7 +221,7 @@ class DiagnosisResult(StrictModel):
         depends_on: what the simulation's residual depends on, also where no cause explains it.
         gain: on held-out runs.
         next_recording: where rivals cannot be told apart, or where nothing is wrong and smaller effects could be shown.
-        left_over: what the residual still depends on beside the causes that are named.
+        left_over: what the extended simulation's residual still depends on, on held-out runs.
         tests: every test of the simulation's residual.
         robot: its name.
         vehicles: ids of the measured vehicles.
@@ -271,7 +271,8 @@ class DiagnosedSession:
         transitions: the N measured transitions that were looked at.
         held_out: (N,) those that nothing was fitted to.
         residual_before: (N, 3) measured minus simulated displacement (forward, left, turn), made independent
-            of each other and divided by the reference's own noise there: about 1 in size where nothing is wrong.
+            of each other and divided by the reference's own noise there: about 1 in size where nothing is wrong,
+            and then less what units and the simulation's uncertainty explain.
         residual_after: (N, 3) likewise, of the extended simulation; the same array where there is none.
         runs_before: held-out runs predicted open loop by the simulation.
         runs_after: the same runs predicted by the extended simulation.

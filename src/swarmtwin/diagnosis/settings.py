@@ -111,8 +111,6 @@ class DependenceSettings(StrictModel):
         draws: sign flips, or resamples, of whole runs that stand for chance.
         false_discovery_rate: Benjamini and Hochberg's, over all tests of a session.
         least_explained: share of the residual's variance below which a dependence does not matter.
-        least_spread_change: likewise, change of the variance over the reference's: two standard deviations of what that
-            differs by between sessions of other vehicles, or beside causes (`motion_noise.usual_spread_beside`).
         least_tails_change: likewise, change of the share of large residuals.
         clip_z: residuals are clipped here before a test.
         tail_z: from here on a residual is a large one.
@@ -123,7 +121,6 @@ class DependenceSettings(StrictModel):
     draws: Count = 400
     false_discovery_rate: Share = 0.01
     least_explained: Share = 0.006
-    least_spread_change: NonNegative = 0.25
     least_tails_change: NonNegative = 0.004
     clip_z: Positive = 5.0
     tail_z: Positive = 3.5

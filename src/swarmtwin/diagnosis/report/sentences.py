@@ -165,8 +165,8 @@ def dependence_words(diagnosis: DiagnosisResult) -> str:
         found = sum(test.found for test in diagnosis.tests)
         if found:
             return (
-                f"{found} of {len(diagnosis.tests)} tests find a difference from the reference, but no larger than "
-                "what is uncertain in the simulation itself, units, or the camera's noise may make."
+                f"{found} of {len(diagnosis.tests)} tests show a difference from the reference, but taken together it "
+                "is too little for an alarm."
             )
         return f"Nothing of what was tested ({len(diagnosis.tests)} questions) shows more than chance would."
     explained = {test.part: test.explained for test in diagnosis.tests}
@@ -176,9 +176,9 @@ def dependence_words(diagnosis: DiagnosisResult) -> str:
             sentences.append(sentence.format("less" if explained.get(part, 0.0) < 0 else "more"))
     if diagnosis.extension != "none" and not diagnosis.not_confirmed:
         if placed := _placed(diagnosis.left_over):
-            sentences.append(f"Beside the causes named, it still depends on {placed}.")
+            sentences.append(f"What the extension leaves depends on {placed}.")
         if shapes := [QUESTIONS[part] for part in SHAPES if part in diagnosis.left_over]:
-            sentences.append(f"Beside them, {enumeration(shapes)} still differs from the ordinary noise.")
+            sentences.append(f"With the extension, {enumeration(shapes)} still differs from the ordinary noise.")
     return " ".join(sentences)
 
 
@@ -243,7 +243,7 @@ def limits_words(diagnosis: DiagnosisResult) -> str:
     )
     return (
         f"{meaning}it would have been named in nine of ten such recordings. Where a cause has further parameters, such "
-        "as a place, a reach or a direction, the size is that at those of their values at which it shows most."
+        "as a place, a reach or a direction, this holds for the values of these at which it shows most."
     )
 
 

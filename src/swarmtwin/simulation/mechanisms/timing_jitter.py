@@ -19,8 +19,8 @@ class Config(Mechanism):
 
     stage: ClassVar = "clock"
     words: ClassVar = (
-        "control periods last {mean} times the nominal one on average, with a standard deviation of {spread} of it, "
-        "and the motion with them"
+        "control periods last {mean} times as long as nominal on average, with a standard deviation of {spread}, and the "
+        "motion lasts as long"
     )
     remedy: ClassVar = "take load off the controller, or use the measured duration as an input"
     parameters: ClassVar[Mapping[str, Parameter]] = {}
@@ -34,7 +34,8 @@ class Config(Mechanism):
     def read_from_clock(cls, duration_s: np.ndarray, robot: Robot) -> dict[str, float] | None:
         """Read both off the clock; None where periods differ from nominal by no more than times are rounded to.
 
-        They are the likeliest of normal periods that are not seen where they last too long.
+        They are the likeliest of normal periods that are not seen where they last too long, the mean among those that
+        may be seen.
         """
         lasted, longest = duration_s / robot.period_s, robot.longest_gap_s / robot.period_s
         if math.sqrt(((lasted - 1) ** 2).mean()) <= 0.003:
@@ -48,9 +49,9 @@ class Config(Mechanism):
             unseen = stats.norm.logcdf((longest - at) / spread)
             return float((variance + (mean - at) ** 2) / (2 * spread**2) + values[1] + unseen)
 
-        found = optimize.minimize(
-            loss, (mean, math.log(variance) / 2), method="Nelder-Mead", options={"xatol": 1e-5, "fatol": 1e-8}
-        )
+        bounds = [(1.0 - (longest - 1), longest), (math.log(1e-3), math.log(0.5))]
+        start = np.clip([mean, math.log(variance) / 2], *np.transpose(bounds))
+        found = optimize.minimize(loss, start, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12})
         return {"spread": float(np.exp(found.x[1])), "mean": float(found.x[0])}
 
     @classmethod
