@@ -19,8 +19,8 @@ class Config(Mechanism):
 
     stage: ClassVar = "clock"
     words: ClassVar = (
-        "control periods last {mean} times as long as nominal on average, with a standard deviation of {spread}, and the "
-        "motion lasts as long"
+        "control periods last {mean} times as long as nominal on average, with a standard deviation of {spread}, and "
+        "the motion lasts as long"
     )
     remedy: ClassVar = "take load off the controller, or use the measured duration as an input"
     parameters: ClassVar[Mapping[str, Parameter]] = {}
@@ -50,7 +50,7 @@ class Config(Mechanism):
             return float((variance + (mean - at) ** 2) / (2 * spread**2) + values[1] + unseen)
 
         bounds = [(1.0 - (longest - 1), longest), (math.log(1e-3), math.log(0.5))]
-        start = np.clip([mean, math.log(variance) / 2], *np.transpose(bounds))
+        start = np.clip([mean, math.log(max(variance, 1e-12)) / 2], *np.transpose(bounds))
         found = optimize.minimize(loss, start, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12})
         return {"spread": float(np.exp(found.x[1])), "mean": float(found.x[0])}
 
