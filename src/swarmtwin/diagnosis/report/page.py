@@ -45,6 +45,8 @@ CAPTIONS = {
     "vehicle": "Error vehicle by vehicle",
     "spread": "How large the errors are, beside the ordinary noise, of which 0.3 % is beyond ±3",
     "calm": "Errors over the place, the heading and the session: none on average, wherever one looks",
+    "calm_beside_units": "Errors beyond what vehicles have of their own, over the place, the heading and the session: none "
+    "on average, wherever one looks",
     "posterior": "Posterior probability of each set of causes, among all sets that were fitted",
     "runs": "Whole runs that nothing was fitted to, predicted from the first pose and the commands alone: a typical "
     "one and a bad one",
@@ -164,7 +166,8 @@ def _figures(diagnosed: SavedDiagnosis) -> dict[str, tuple[str, Figure]]:
     drawn["spread"] = CAPTIONS["spread"], spread_figure(residuals)
     calm = [choices[name] for name in CALM_PICTURES if name in choices]
     if diagnosed.result.verdict == "no_gap" and calm:
-        drawn["calm"] = CAPTIONS["calm"], calm_figure(calm, parts[BEFORE], block)
+        caption = CAPTIONS["calm_beside_units" if diagnosed.result.units else "calm"]
+        drawn["calm"] = caption, calm_figure(calm, parts[BEFORE], block)
     further = {
         "posterior": posterior_figure(diagnosed.result.posterior),
         "runs": runs_figure(diagnosed.runs_before, diagnosed.runs_after if extended else ()),
