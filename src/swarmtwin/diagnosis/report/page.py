@@ -45,8 +45,8 @@ CAPTIONS = {
     "vehicle": "Error vehicle by vehicle",
     "spread": "How large the errors are, beside the ordinary noise, of which 0.3 % is beyond ±3",
     "calm": "Errors over the place, the heading and the session: none on average, wherever one looks",
-    "calm_beside_units": "Errors beyond what vehicles have of their own, over the place, the heading and the session: none "
-    "on average, wherever one looks",
+    "calm_beside_units": "Errors beyond what vehicles have of their own, over the place, the heading and the session: "
+    "none on average, wherever one looks",
     "posterior": "Posterior probability of each set of causes, among all sets that were fitted",
     "runs": "Whole runs that nothing was fitted to, predicted from the first pose and the commands alone: a typical "
     "one and a bad one",
