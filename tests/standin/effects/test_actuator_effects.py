@@ -75,6 +75,21 @@ def test_backlash_costs_its_travel_at_each_reversal_and_nothing_between(robots):
     np.testing.assert_allclose(np.abs(plain[2] - changed[2]), 6 * slip_kept, atol=0.3)
 
 
+def test_a_fins_play_takes_half_of_itself_from_the_stroke_and_a_fin_that_stands_pushes_nothing(robots):
+    robot = robots["mur"]
+
+    def forward_mm(amplitude_deg, *entries):
+        """In the third period, of most runs: few are led back from the wall by then."""
+        drive = np.array([[0.0, amplitude_deg, 6.0]])
+        driven = drive_session(session(robot, *entries, runs=60, steps=3, drive=drive))
+        return np.median(mean_given_state(driven)[:, 2, :, 0])
+
+    play = {"name": "backlash", "travel_rad": np.deg2rad(24)}
+    # it waits at the ends of its stroke, and is as fast between them as one of the whole amplitude
+    assert forward_mm(28.0) < forward_mm(40.0, play) < forward_mm(34.0) < forward_mm(40.0)
+    assert abs(forward_mm(10.0, play)) < 0.05 * forward_mm(10.0)
+
+
 def test_battery_sag_begins_with_nothing_and_grows_to_its_loss(robots):
     robot = robots["mgr"]
     plain, changed = (

@@ -1,9 +1,12 @@
 """The swimmer: nothing says how fast it swims, so strokes, trim, weeds and currents are looked at from outside."""
 
+import mujoco
 import numpy as np
 import pytest
 from rigid_drives import CALM, drive, true_displacements
 
+from swarmtwin.standin.active_effects import ActiveEffects
+from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.rigid_body.driving import drive_rigid_session
 from swarmtwin.standin.rigid_body.swimmer import Swimmer
 from swarmtwin.standin.session import StandInSession
@@ -99,9 +102,16 @@ def test_a_current_carries_it_along_as_fast_as_it_flows(mur):
     np.testing.assert_allclose(added, [[20 * np.cos(0.7), 20 * np.sin(0.7)]] * as_told.sum(), atol=2)
 
 
-def test_weeds_slow_it_down(mur):
-    weeds = {"name": "surface_patch", "loss": 0.4, "radius_mm": 4000}
-    assert steady(mur, (0, 50, 6), weeds)[0] < 0.8 * steady(mur, (0, 50, 6))[0]
+@pytest.mark.parametrize("loss", [0.2, 0.5])
+def test_weeds_take_their_share_of_its_speed(mur, loss):
+    """Its fin's drag is not among what weeds add to, and strokes push in turns: a tenth of the speed is left open."""
+    weeds = {"name": "surface_patch", "loss": loss, "radius_mm": 4000}
+    commands = [(0, 30, 6), (0, 50, 6), (0, 50, 9), (30, 45, 6)]
+    left = [steady(mur, one, weeds)[0] / steady(mur, one)[0] for one in commands]
+    assert np.mean(left) == pytest.approx(1 - loss, abs=0.05)
+    assert max(left) - min(left) < 0.15
+    turning = (40, 40, 6)
+    assert steady(mur, turning, weeds)[2] < (1 - 0.6 * loss) * steady(mur, turning)[2]
 
 
 def test_delay_and_lag_bring_the_turn_later(mur):
@@ -119,8 +129,30 @@ def test_delay_and_lag_bring_the_turn_later(mur):
     assert later_share({"name": "actuator_lag", "time_constant_s": 0.3}) > plain + 0.1
 
 
-def test_play_of_the_fin_takes_from_its_strokes(mur):
-    assert steady(mur, (0, 40, 6), {"name": "backlash", "travel_rad": 0.5})[0] < 0.9 * steady(mur, (0, 40, 6))[0]
+def play(travel_rad):
+    return {"name": "backlash", "travel_rad": travel_rad}
+
+
+@pytest.mark.parametrize("travel_rad", [0.1, 0.95])
+def test_the_fins_play_is_as_wide_as_it_says(mur, travel_rad):
+    swimmer = Swimmer(("1",), ActiveEffects(mur, parse_effects((play(travel_rad),), mur, 1)), mur.period_s)
+    model = mujoco.MjModel.from_xml_string(swimmer.describe(0))
+    assert np.ptp(model.jnt_range[model.jnt_limited.astype(bool)]) == pytest.approx(travel_rad)
+
+
+def test_play_of_the_fin_takes_from_its_strokes_the_more_the_wider_it_is(mur):
+    """With next to none it swims as without, and with as much as the stroke is wide it goes nowhere."""
+    speeds = [steady(mur, (0, 40, 6), play(travel))[0] for travel in (0.005, 0.1, 0.3, 0.6, 0.95)]
+    shares = np.array(speeds) / steady(mur, (0, 40, 6))[0]
+    assert shares[0] == pytest.approx(1.0, abs=0.01)
+    assert (np.diff(shares) < -0.03).all()
+    assert abs(shares[-1]) < 0.1
+
+
+def test_what_play_takes_does_not_hang_on_the_time_step(mur, monkeypatch):
+    usual = steady(mur, (0, 40, 6), play(0.3))[0]
+    monkeypatch.setattr(Swimmer, "steps", 640)
+    assert steady(mur, (0, 40, 6), play(0.3))[0] == pytest.approx(usual, rel=0.03)
 
 
 def test_an_engine_that_loses_a_vehicle_is_no_recording(mur, monkeypatch, tmp_path):

@@ -24,6 +24,8 @@ class Swimmer(Machine):
         hull, plate, tail: semi-axes of the ellipsoids, m: along, across, upright.
         mass: of the hull, kg.
         inertia: of the hull about its upright axis, kg·m².
+        horn, loose_horn: inertia of the servo's horn, kg·m²; the latter with play behind it, whose stop is too soft for
+            one as light as the former at this time step. A swimmer is 0.2 % faster with it.
         plate_mass, tail_mass: with the water that they must accelerate, which the engine leaves to the body, kg.
         hull_fluid, fin_fluid: MuJoCo's coefficients: blunt drag, slender drag, angular drag, Kutta lift, Magnus lift.
         stiffness: of the spring between both plates, N·m/rad.
@@ -52,13 +54,15 @@ class Swimmer(Machine):
     tail = (0.046, 0.002, 0.022)
     mass = 0.3
     inertia = 0.00079
+    horn = 2e-5
+    loose_horn = 2e-4
     plate_mass = 0.0265
     tail_mass = 0.027
     hull_fluid = (1.14, 0.44, 4.91, 1.0, 1.0)
     fin_fluid = (0.95, 0.03, 1.0, 7.37, 0.86)
     stiffness = 0.0126
     bend_damping = 8e-4
-    play_damping = 5e-3
+    play_damping = 5e-4
     ripples = (1.3, 0.0042)
     servo_gain = 3.0
     servo_damping = 0.1
@@ -93,6 +97,7 @@ class Swimmer(Machine):
         )
         return f"""
         <mujoco>
+          <compiler angle="radian"/>
           <option timestep="{self.time_step_s}" integrator="implicit" gravity="0 0 0" density="{self.water}"
                   viscosity="0.0009" wind="{x_m_s} {y_m_s} 0"/>
           <worldbody>
@@ -124,11 +129,11 @@ class Swimmer(Machine):
             half_rad = self.conditions.backlash / 2
             play = (
                 f'<joint axis="0 0 1" limited="true" range="{-half_rad} {half_rad}" solreflimit="0.012 1" '
-                f'damping="{self.play_damping}"/>'
+                f'solimplimit="0.999 0.9999 0.001" damping="{self.play_damping}"/>'
             )
         return f"""
         <body pos="{-self.hull[0]} 0 0">
-          <joint name="servo" axis="0 0 -1" armature="2e-5"/>
+          <joint name="servo" axis="0 0 -1" armature="{self.loose_horn if play else self.horn}"/>
           <inertial pos="0 0 0" mass="0.001" diaginertia="1e-7 1e-7 1e-7"/>
           <body>
             {play}
@@ -213,10 +218,26 @@ class Swimmer(Machine):
         place = Placement(moment.period.progress, x_mm, y_mm, heading_rad, none, none)
         traction = np.broadcast_to(self.conditions.traction(place), x_mm.shape)
         speed_m_s = np.linalg.norm(moment.velocity[..., :2] - np.array(self.carrying_mm_s) / 1000, axis=-1)
-        front = np.pi * self.hull[1] * self.hull[2]
-        more = 0.5 * self.water * self.hull_fluid[0] * front * speed_m_s * (traction**-2.0 - 1.0)
+        turn_rad_s = np.abs(moment.velocity[..., 2])
+        of_speed, of_turning = self._hull_drag()
+        more = traction**-2.0 - 1.0
         moving, turning = (ripple / traction for ripple in self.ripples)
-        return np.stack([moving + more, moving + more, turning + more * self.hull[0] ** 2])
+        resistance = moving + of_speed * speed_m_s * more
+        return np.stack([resistance, resistance, turning + of_turning * turn_rad_s * more])
+
+    def _hull_drag(self) -> tuple[float, float]:
+        """Return by what the engine multiplies the square of the hull's speed ahead (kg/m) and of its turning (kg·m²).
+
+        Of an ellipsoid, blunt and slender drag by the area across the flow and along it (MuJoCo's documentation,
+        "Ellipsoid model"); angular likewise by moments of area.
+        """
+        along, across, upright = self.hull
+        blunt, slender, angular, *_ = self.hull_fluid
+        front, largest = np.pi * across * upright, np.pi * along * across
+        of_turning, most = (8 / 15 * np.pi * width * along**4 for width in (upright, across))
+        speed = self.water * (blunt * front + slender * (largest - front))
+        turning = self.water * (angular * of_turning + slender * (most - of_turning))
+        return float(speed), float(turning)
 
 
 def _numbers(values: tuple[float, ...]) -> str:

@@ -136,11 +136,12 @@ class StandIn(Physics):
     ) -> np.ndarray:
         """Advance the fin, then the velocities, then the pose (semi-implicit Euler)."""
         after = state.copy()
-        fin_rad, fin_rad_s = self._move_fin(state, target, dt_s, after)
-        beat_rad = after[10] - after[6]
+        told_rad, fin_rad_s = self._move_fin(state, target, dt_s, after)
+        beat_rad = told_rad - after[6]
         beat_rad_s = fin_rad_s - (after[6] - state[6]) / dt_s
         beat = (beat_rad_s**2 + (after[8] * beat_rad) ** 2) * 0.5
         jet = (target[3] * surroundings.traction) ** 2 * beat / (1.0 + beat * (1.0 / self.stall_beat))
+        fin_rad = told_rad + (self.unit.trim_rad + self.conditions.trim_rad)
         jet_rad = self.deflection * (fin_rad - (1.0 - self.wag) * beat_rad)
         self._accelerate(state, jet, jet_rad, beat_rad_s, dt_s, after)
         if noise is not None:
@@ -160,6 +161,7 @@ class StandIn(Physics):
     def _move_fin(
         self, state: np.ndarray, target: np.ndarray, dt_s: Any, after: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fin's angle behind the play of its gear, rad, but for its trim, and its rate, rad/s."""
         settling = 1.0 - np.exp(-dt_s / (self.setting_s + self.conditions.lag_s))
         after[6:9] = state[6:9] + (target[:3] - state[6:9]) * settling
         phase_rad = state[9] + after[8] * dt_s
@@ -173,7 +175,7 @@ class StandIn(Physics):
         if self.conditions.backlash:
             after[11], stroke_rad = take_up(state[11], stroke_rad, self.conditions.backlash)
             fin_rad = fin_rad - after[11] + 0.5 * self.conditions.backlash
-        return fin_rad + (self.unit.trim_rad + self.conditions.trim_rad), stroke_rad / dt_s
+        return fin_rad, stroke_rad / dt_s
 
     def _accelerate(
         self,
