@@ -137,7 +137,7 @@ class StandIn(Physics):
         """Advance the fin, then the velocities, then the pose (semi-implicit Euler)."""
         after = state.copy()
         told_rad, fin_rad_s = self._move_fin(state, target, dt_s, after)
-        beat_rad = told_rad - after[6]
+        beat_rad = (after[10] - after[6]) * self._share_of_stroke(after[7])
         beat_rad_s = fin_rad_s - (after[6] - state[6]) / dt_s
         beat = (beat_rad_s**2 + (after[8] * beat_rad) ** 2) * 0.5
         jet = (target[3] * surroundings.traction) ** 2 * beat / (1.0 + beat * (1.0 / self.stall_beat))
@@ -157,6 +157,13 @@ class StandIn(Physics):
         after[2] = state[2] + turn * dt_s
         self._stop_at_walls(after)
         return after
+
+    def _share_of_stroke(self, amplitude_rad: np.ndarray) -> Any:
+        """Return what the play of its gear leaves of the fin's amplitude: none of one that is less than half of it."""
+        if not self.conditions.backlash:
+            return 1.0
+        lost = 0.5 * self.conditions.backlash / np.maximum(amplitude_rad, 1e-9)
+        return np.maximum(1.0 - lost, 0.0)
 
     def _move_fin(
         self, state: np.ndarray, target: np.ndarray, dt_s: Any, after: np.ndarray
