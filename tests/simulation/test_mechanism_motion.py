@@ -447,17 +447,18 @@ def test_each_wheel_is_slowed_where_it_is(robots):
     assert right == pytest.approx(straight_mm, rel=1e-6)
 
 
-def test_weaker_thrust_slows_each_part_of_the_motion_by_its_own_power(robots):
+def test_weaker_thrust_slows_each_part_of_the_motion_by_its_own_power_and_weeds_all_of_it_alike(robots):
     robot, exponents = robots["mur"], (1.0, 1.9, 1.6)
     middle = robot.arena_mm.low_mm + (robot.arena_mm.high_mm - robot.arena_mm.low_mm) / 2
     pose = np.tile([*middle, 0.4], (50, 1))
     situation = situation_of(robot, np.random.default_rng(7), count=50, pose=pose)
-    form = next(kind for kind in mechanism_class("surface_patch").forms(robot))
-    disc = form(name="surface_patch", x_mm=middle[0], y_mm=middle[1], radius_mm=400.0, loss=0.4).model_dump()
     conditions = conditions_of(robot, effort_exponents=exponents)
-    slowed = simulation_with(robot, conditions=conditions, surface_patch={**disc}).predict(situation)
-    expected = log_map(ExactDynamics(robot).predict(situation)) * 0.6 ** torch.tensor(exponents, dtype=torch.float64)
-    torch.testing.assert_close(log_map(slowed), expected)
+    plain = log_map(ExactDynamics(robot).predict(situation))
+    as_a_whole, by_thrust = mechanism_class("surface_patch").forms(robot)
+    for form, powers in ((as_a_whole, (1.0, 1.0, 1.0)), (by_thrust, exponents)):
+        disc = form(name="surface_patch", x_mm=middle[0], y_mm=middle[1], radius_mm=400.0, loss=0.4).model_dump()
+        slowed = simulation_with(robot, conditions=conditions, surface_patch={**disc}).predict(situation)
+        torch.testing.assert_close(log_map(slowed), plain * 0.6 ** torch.tensor(powers, dtype=torch.float64))
 
 
 @pytest.mark.parametrize("probability", [0.0, 0.2, 0.6])

@@ -23,7 +23,13 @@ from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_ses
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_that_raises
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
-from swarmtwin.studies.hidden_effects.sessions import made_effects, record_session, reference_session, sized_entry
+from swarmtwin.studies.hidden_effects.sessions import (
+    made_effects,
+    measured_session,
+    record_session,
+    reference_session,
+    sized_entry,
+)
 from swarmtwin.transitions import from_recording
 
 SMALL = {"runs": 20, "steps": 20, "reference_runs": 30}
@@ -270,13 +276,24 @@ def test_clean_sessions_differ_as_their_variety_says(robots):
     assert (changed("long_runs").session.runs, changed("long_runs").session.steps) == (40, 100)
     assert changed("few_transitions").session.runs * 40 == 600
     assert changed("many_transitions").session.runs * 40 == 10_000
-    assert changed("other_vehicle").session.vehicles not in (("3",), ())
     assert changed("group").session.vehicles[0] == "3"
     assert len(set(changed("group").session.vehicles)) in (2, 3)
     assert changed("other_arena").session.robot.arena_mm != usual.robot.arena_mm
     assert 0.02 <= changed("lost_poses").session.lost_poses <= 0.1
     assert changed("time_of_day").session.starts_s >= 1800
     assert 1.5 <= changed("camera_noise").pose_noise <= 3.0
+
+
+@pytest.mark.parametrize(
+    ("variety", "least", "most"), [("plain", 0.4, 0.75), ("mixed", 0.4, 0.75), ("other_vehicle", 0, 0)]
+)
+def test_clean_sessions_are_of_other_vehicles_as_often_as_hidden_ones(robots, variety, least, most):
+    drawn = [Case(family="formulas", kind="clean", robot="mgr", variety=variety, seed=seed) for seed in range(80)]
+    own = [
+        measured_session(case, robots["mgr"]).session.vehicles[0] == reference_session(case, robots["mgr"]).vehicles[0]
+        for case in drawn
+    ]
+    assert least <= np.mean(own) <= most
 
 
 def test_a_clean_recording_holds_its_own_arena_its_clock_and_its_noise(robots):

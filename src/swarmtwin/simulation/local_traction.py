@@ -22,10 +22,9 @@ class LocalTraction(Mechanism, ABC):
 
     @classmethod
     def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
-        """Return that which slows the vehicle as a whole, for wheels also that which slows each; or that of thrust."""
-        if robot.actuation.kind == "thrust":
-            return (cls.with_default("slows", "thrust"),)
-        return (cls, cls.with_default("slows", "wheels")) if robot.actuation.kind == "wheel" else (cls,)
+        """Return that which slows the vehicle as a whole, and for wheels that which slows each, or that of thrust."""
+        kind = {"thrust": "thrust", "wheel": "wheels"}.get(robot.actuation.kind)
+        return (cls, cls.with_default("slows", kind)) if kind else (cls,)
 
     def what_traction_slows(self) -> Slowed:
         """Say what it slows."""

@@ -171,7 +171,8 @@ class Mechanism(StrictModel, ABC):
     Attributes:
         name: of the cause, that of its file.
         stage: of the signal chain.
-        words: what it is, for a person; parameters in braces, `{x_mm} {x_mm:ahead/behind}` without their sign.
+        words: what it is, for a person; parameters in braces, `{x_mm} {x_mm:ahead/behind}` without their sign; of a
+            form, `{slows:way/drive}`, the first word for the usual one.
         remedy: what to repair or check.
         parameters: its parameters by field name.
         inputs: parts of the measured situation that a simulation with it must be shown beside the command; those of

@@ -294,7 +294,7 @@ def odds_words(nats: float) -> str:
 
 
 class _Told(NamedTuple):
-    """A parameter in words; formatted by `ahead/behind` the word for its sign."""
+    """A parameter in words, or a form; formatted by `ahead/behind` the one for its sign, or for the usual form."""
 
     words: str = ""
     is_negative: bool = False
@@ -311,7 +311,8 @@ def _told(cause: Cause, tell: Callable[[str, Estimate], str]) -> str:
         name: _Told(tell(name, _size(estimate) if name in directed else estimate), estimate.value < 0)
         for name, estimate in cause.parameters.items()
     }
-    form = {name: _Told(words) for name, words in (mechanism.usual_form() | cause.form).items()}
+    usual = mechanism.usual_form()
+    form = {name: _Told(words, words != usual.get(name)) for name, words in (usual | cause.form).items()}
     return mechanism.words.format_map(defaultdict(_Told, form | told))
 
 

@@ -65,7 +65,7 @@ class Config(LocalTraction):
         loss: share of the way.
     """
 
-    words: ClassVar = "around x {x_mm}, y {y_mm}, within {radius_mm}, vehicles lose {loss} of their way"
+    words: ClassVar = "around x {x_mm}, y {y_mm}, within {radius_mm}, vehicles lose {loss} of their {slows:way/drive}"
     remedy: ClassVar = "clean or level that place, or keep the robots off it"
     parameters: ClassVar = {}
     is_smooth: ClassVar = False

@@ -20,7 +20,7 @@ class Config(LocalTraction):
         reach_mm: distance over which it falls to a third.
     """
 
-    words: ClassVar = "near the walls (within {reach_mm}) vehicles lose up to {loss} of their way"
+    words: ClassVar = "near the walls (within {reach_mm}) vehicles lose up to {loss} of their {slows:way/drive}"
     remedy: ClassVar = "keep away from the walls, or clean the table's edge"
     parameters: ClassVar = {}
 

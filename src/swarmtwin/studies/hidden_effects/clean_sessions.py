@@ -60,7 +60,7 @@ def clean_session(variety: str, usual: StandInSession, rng: np.random.Generator)
         changes = _changes(variety, usual, rng)
     else:
         changes = {}
-        for one in ("commands", "lengths", "other_vehicle", "group", "other_arena", "lost_poses", "time_of_day"):
+        for one in ("commands", "lengths", "group", "other_arena", "lost_poses", "time_of_day"):
             if one != "other_arena" or usual.robot.name in VARIETIES["other_arena"]:
                 changes |= _changes(one, replace(usual, **changes), rng) if rng.random() < 0.6 else {}
     noisy = variety == "camera_noise" or (variety == "mixed" and rng.random() < 0.5)
@@ -86,8 +86,6 @@ def _changes(variety: str, usual: StandInSession, rng: np.random.Generator) -> d
         case "lengths":
             steps = round(float(np.exp(rng.uniform(np.log(10), np.log(100)))))
             return _lasting(transitions * float(np.exp(rng.uniform(np.log(0.15), np.log(2.5)))), steps)
-        case "other_vehicle":
-            return {"vehicles": (_others(usual, rng)[0],)}
         case "group":
             vehicles = (*usual.vehicles, *_others(usual, rng)[: int(rng.integers(1, 3))])
             return {"vehicles": vehicles, "runs": max(8, usual.runs // len(vehicles))}

@@ -96,23 +96,23 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             from there on it should name 90 %.
         outside: of what the catalogue does not know
             found: likewise; costly_found: of what raises the error by 10 % or more.
-            not_named: no cause was named.
+            not_named: no cause was named; not_named_of_alarmed: where something was said to be wrong.
             not_explained: it was not said that the catalogue explains it, though causes may be named for a part.
         clean: of sessions with nothing wrong
-            accused: a cause was named.
+            accused: a cause was named; accused_of_other_vehicle: of another vehicle than was learned from.
             alarmed: something was said to be wrong, with or without a name.
             harmed: the extended simulation errs by 0.5 % or more above the simulation.
         mechanisms: for each effect of the catalogue, over sessions that hide it alone, `exact` by rise, and over all in
-            which it was named: the median error of its parameters in percent of the true value (not of angles and
-            places, which have no size), and `covered`, 95 % intervals that hold it.
-        parameters: likewise for each single parameter, and in its own unit; for factors also in percent of what the
-            true value differs by from doing nothing.
+            which it was named: the median error of its parameters in percent of how far the true value is from doing
+            nothing (not of places and directions), and `covered`, 95 % intervals that hold it.
+        parameters: likewise for each single parameter, and in its own unit.
         covered, median_parameter_error_percent: over all that are said in the unit that they are hidden in; the others,
             in_another_unit, are counted (see `parameters_table`).
         calibration_error: see `expected_calibration_error`.
         gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
             more: median shares of the squared error that the effects had brought, and `to_floor` of all squared error
-            above that of the exact mean, by the diagnosis and by a black-box residual.
+            above that of the exact mean, by the diagnosis and by a black-box residual. Where exact means are not known,
+            `beside_twin`: of the error above that of the same session without the effects, which may err more.
         seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
     Over all families: `cases`, `failed`, `outside_by_effect`, `clean_by_variety`, and of the methods that name causes,
     on the same cases, `methods`: `named_first` and `exact` of single effects that raise the error by 10 % or more,
@@ -152,7 +152,10 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         **{kind: _naming(table[table.kind == kind]) for kind in ("two", "three")},
         "limits": {name: _exact_at_limits(one, *bin_ends) for name, bin_ends in LIMIT_BINS.items()},
         "outside": _silence(outside),
-        "clean": _proportions(clean, ALARMS),
+        "clean": {
+            **_proportions(clean, ALARMS),
+            "accused_of_other_vehicle": Proportion.of(clean.accused[~clean.same_vehicle.astype(bool)]),
+        },
         "mechanisms": {name: _mechanism(name, one, parameters) for name in one.about.unique()},
         "parameters": _of_each(parameters, parameters.cause + "." + parameters.name, _precision),
         "covered": Proportion.of(parameters.covered),
@@ -197,7 +200,8 @@ def expected_calibration_error(confidence: pd.Series, true: pd.Series, bins: int
 
 def _silence(table: pd.DataFrame) -> Proportions:
     costly = Proportion.of(table.found[in_rise_bin(table, CLEAR)])
-    return {**_proportions(table, SILENCE), "costly_found": costly}
+    of_alarmed = Proportion.of(table.not_named[table.found.astype(bool)])
+    return {**_proportions(table, SILENCE), "costly_found": costly, "not_named_of_alarmed": of_alarmed}
 
 
 def _median_and_most(values: pd.Series) -> dict[str, float | None]:
@@ -245,7 +249,7 @@ def _naming_by_rise(table: pd.DataFrame) -> dict[str, Proportions]:
 
 def _precision(parameters: pd.DataFrame) -> dict[str, Any]:
     """Summarise one parameter of one cause."""
-    errors = ("error", "error_percent", "error_of_change_percent")
+    errors = ("error", "error_percent")
     return {
         "count": len(parameters),
         **{f"median_{error}": _median(parameters[error]) for error in errors},
@@ -257,7 +261,8 @@ def _precision(parameters: pd.DataFrame) -> dict[str, Any]:
 def _gains(table: pd.DataFrame) -> dict[str, Any]:
     return {
         "count": int(table.after_mm.notna().sum()),
-        "diagnosis": _median(table.share),
+        "diagnosis": _median(table.share[table.least_mm.notna()]),
+        "beside_twin": _median(table.share[table.least_mm.isna()]),
         "black_box": _median(table.black_box_share),
         "diagnosis_to_floor": _median(table.share_to_floor),
         "black_box_to_floor": _median(table.black_box_share_to_floor),

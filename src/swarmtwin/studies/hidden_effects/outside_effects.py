@@ -20,7 +20,7 @@ OUTSIDE: dict[str, Sizes] = {
     "warm_up": {"mgr": (0.02, 0.95), "mur": (0.02, 0.95)},
     "sudden_loss": {"mgr": (0.01, 0.9), "mur": (0.01, 0.9)},
     "weak_left_turn": {"mgr": (0.01, 0.9), "mur": (0.01, 0.9)},
-    "coarse_commands": {"mgr": (0.02, 0.9), "mur": (0.04, 1.5)},
+    "coarse_commands": {"mgr": (0.02, 0.33), "mur": (0.04, 0.33)},
     "bent_response": {"mgr": (0.02, 0.85), "mur": (0.03, 0.85)},
     "swapped_wheels": {"mgr": (0.001, 0.3)},
     "rotating_current": {"mgr": (0.3, 40.0), "mur": (0.6, 60.0)},

@@ -101,7 +101,13 @@ class CoarseCommands(Effect):
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Round."""
-        return change_thrust(command, robot, lambda thrust: np.round(thrust / self.step) * self.step)
+        limit = float(max(np.abs(robot.command_high).max(), 1.0))
+        if robot.actuation.kind == "thrust":
+            limit = robot.command["amplitude_deg"].high
+        most = math.floor(limit / self.step) * self.step
+        return change_thrust(
+            command, robot, lambda thrust: np.clip(np.round(thrust / self.step) * self.step, -most, most)
+        )
 
 
 class BentResponse(Effect):

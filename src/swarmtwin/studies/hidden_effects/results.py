@@ -1,6 +1,7 @@
 """What came of each case: a line in a file that an interrupted study continues, and the tables made of all of them."""
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -27,10 +28,12 @@ WEAKENED: Mapping[str, Mapping[tuple[str, str], str]] = {
         **{("formulas", "mgr"): "speed", ("unruly", "mgr"): "speed"},
         **{("rigid_body", "mgr"): "speed", ("rigid_body", "mur"): "effort"},
     },
+    "surface_patch": {("rigid_body", "mur"): "vehicle"},
+    "wall_effect": {("rigid_body", "mur"): "vehicle"},
 }
 """What stand-ins weaken, by cause, family and robot: speeds, or efforts, a motor's voltage or a stroke's size.
 
-The fin of the formulas has less thrust, which is neither.
+The fin of the formulas has less thrust, which is neither; weeds and walls slow the rigid body's swimmer as a whole.
 """
 
 
@@ -187,27 +190,27 @@ def _row_of_true_model(result: Result) -> dict[str, Any]:
 def is_another_unit(family: str, robot: str, cause: str, parameter: str, told_of: str = "") -> bool:
     """Return whether a parameter of a cause is told in another unit than it is hidden in: see `parameters_table`.
 
-    `told_of` is what a cause of several forms was found to act on: speed or effort; empty where nobody said.
+    `told_of` is what a cause of several forms was found to act on, such as speed or effort; empty where nobody said.
     """
-    hidden_in = WEAKENED.get(cause, {}).get((family, robot))
-    if hidden_in and told_of:
-        return told_of != hidden_in
-    if robot in THRUST_ROBOTS:
-        return parameter in ("gain", "loss", "shape", "factor")
+    if parameter in ("gain", "loss", "shape"):
+        hidden_in = WEAKENED.get(cause, {}).get((family, robot))
+        return told_of != hidden_in if hidden_in and told_of else robot in THRUST_ROBOTS
+    if parameter == "factor":
+        return robot in THRUST_ROBOTS
     return family == "rigid_body" and parameter == "ratio"
 
 
 def parameters_table(results: Sequence[Result]) -> pd.DataFrame:
     """Return one row a parameter of a cause that was named and true, with its error in several measures.
 
-    `error` is in the parameter's unit; `error_percent` is of the true value, NaN for angles and places, which have no
-    size; `error_of_change_percent` is of what the true value differs by from 1, for factors, which do nothing at 1;
-    `covered` says whether the 95 % interval holds the true value; `same_unit` whether what is said and what is hidden
-    are the same quantity at all. They are not where a share of the speed is told and the stand-in hides one of what
-    actuators are given, or of a fin's thrust, or the other way round: only its physics tell the one of the other. Nor
-    are they where the eddies about a fin are stronger, beside which its strokes make motion random as before, nor where
-    one motor of the rigid body has less voltage, of which its bearings' friction takes as much as before: a diagnosis
-    says how random the motion is, and how fast a wheel turns.
+    `error` is in the parameter's unit; `error_percent` is of how far the true value is from doing nothing, a factor
+    from 1, both parts of an offset together, a limit from nothing; NaN for places and directions, which have no such
+    size; `covered` says whether the 95 % interval holds the true value; `same_unit` whether what is said and what is
+    hidden are the same quantity at all. They are not where a share of the speed is told and the stand-in hides one of
+    what actuators are given, or of a fin's thrust, or the other way round: only its physics tell the one of the other.
+    Nor are they where the eddies about a fin are stronger, beside which its strokes make motion random as before, nor
+    where one motor of the rigid body has less voltage, of which its bearings' friction takes as much as before: a
+    diagnosis says how random the motion is, and how fast a wheel turns.
     """
     table = _with_errors([row for result in results for row in _parameters(result)], list(Estimate.model_fields))
     table["covered"] = table.true.between(table.low, table.high)
@@ -228,13 +231,12 @@ def true_model_parameters_table(results: Sequence[Result]) -> pd.DataFrame:
 
 def _with_errors(rows: list[dict[str, Any]], said: list[str]) -> pd.DataFrame:
     """Return a table of parameters with their errors in several measures."""
-    table = pd.DataFrame(rows, columns=["family", "robot", "kind", "seed", "cause", "told_of", "name", "true", *said])
-    true = table.true.astype(float)
-    has_size = ~table.name.isin(["angle_rad", "direction_rad", "x_mm", "y_mm", "forward_mm", "left_mm"]) & (true != 0)
-    is_factor = table.name.isin(["gain", "scale", "ratio", "factor"])
-    table["error"] = (table.value - true).abs()
-    table["error_percent"] = 100 * (table.error / true.abs()).where(has_size)
-    table["error_of_change_percent"] = 100 * (table.error / (true - 1).abs()).where(is_factor)
+    table = pd.DataFrame(
+        rows, columns=["family", "robot", "kind", "seed", "cause", "told_of", "name", "true", "size", *said]
+    )
+    size = table["size"].astype(float)
+    table["error"] = (table.value - table.true.astype(float)).abs()
+    table["error_percent"] = 100 * (table.error / size).where(size > 0)
     about = zip(table.family, table.robot, table.cause, table["name"], table.told_of, strict=True)
     table["same_unit"] = np.array([not is_another_unit(*one) for one in about], bool)
     return table
@@ -244,7 +246,7 @@ def _parameters(result: Result) -> Iterator[dict[str, Any]]:
     """Return what is said of the parameters of the causes that are true, beside what they are."""
     for cause in result.causes:
         said = {name: estimate.model_dump() for name, estimate in cause.parameters.items()}
-        yield from _beside_truth(result, cause.name, said, cause.form.get("acts_on", ""))
+        yield from _beside_truth(result, cause.name, said, cause.form.get("acts_on") or cause.form.get("slows", ""))
 
 
 def _beside_truth(
@@ -259,7 +261,17 @@ def _beside_truth(
         if name == "direction_rad":  # the same direction, as near to what is said as it can be told
             true = estimate["value"] + float(wrap_angle(np.array(true - estimate["value"])))
         about = {"family": case.family, "robot": case.robot, "kind": case.kind, "seed": case.seed}
-        yield {**about, "cause": cause, "told_of": told_of, "name": name, "true": true, **estimate}
+        size = _size(name, result.true_causes[cause])
+        yield {**about, "cause": cause, "told_of": told_of, "name": name, "true": true, "size": size, **estimate}
+
+
+def _size(name: str, true: Mapping[str, float]) -> float:
+    """Return how far a parameter of a hidden cause is from doing nothing; NaN where it has no such size."""
+    if name in ("x_mm", "y_mm", "direction_rad"):
+        return math.nan
+    if name in ("forward_mm", "left_mm"):
+        return math.hypot(true["forward_mm"], true["left_mm"])
+    return abs(true[name] - (1.0 if name in ("gain", "scale", "ratio", "factor") else 0.0))
 
 
 def confidences_table(results: Sequence[Result]) -> pd.DataFrame:

@@ -127,7 +127,7 @@ def record_session(case: Case) -> RecordedSession:
     """Record a case, the same each time: its reference, and the session that something may hide in."""
     robot = Robot.load(config_folder() / "robot" / f"{case.robot}.yaml")
     reference = _film(CleanSession(reference_session(case, robot)), robot, case)
-    plan = _measured_session(case, robot)
+    plan = measured_session(case, robot)
     twin = _film(plan, robot, case)
     if not case.names:
         truth = Truth(case, (), 0.0, _same_vehicle(reference, twin), twin, twin)
@@ -163,15 +163,17 @@ def _usual(case: Case, robot: Robot, vehicles: tuple[str, ...], runs: int, seed:
     return StandInSession(robot, vehicles, runs, case.steps, seed, lost_poses=0.001, **options)
 
 
-def _measured_session(case: Case, robot: Robot, same_vehicle: float = 0.6) -> CleanSession:
+def measured_session(case: Case, robot: Robot, same_vehicle: float = 0.6) -> CleanSession:
     """Return what is measured, without what hides in it: of the reference's vehicle, or else another."""
     rng = case.rng("measured")
     unit = reference_session(case, robot).vehicles[0]
     others = [str(number) for number in rng.permutation(np.arange(1, 10)) if str(number) != unit]
     seed = int(rng.integers(2**31))
-    if case.kind == "clean":
-        return clean_session(case.variety, _usual(case, robot, (unit,), case.runs, seed), rng)
     vehicles: tuple[str, ...] = (unit,) if rng.random() < same_vehicle else (others[0],)
+    if case.kind == "clean":
+        if case.variety == "other_vehicle":
+            vehicles = (others[0],)
+        return clean_session(case.variety, _usual(case, robot, vehicles, case.runs, seed), rng)
     if "neighbour_interaction" in case.names:
         vehicles = (*vehicles, others[1])
     return CleanSession(_usual(case, robot, vehicles, max(8, case.runs // len(vehicles)), seed))
