@@ -178,10 +178,25 @@ class Backlash(FineWorld):
         return np.column_stack([(left + right) / 2, 0 * left, (right - left) / TRACK_MM])
 
 
+def speed_squared_behind_play(lost, steps=4000):
+    """Return the mean square of a fin's speed over that of its servo, which takes up the play in each stroke."""
+    servo = np.cos(np.linspace(0, 4 * np.pi, steps + 1))
+    slack, moved = 0.0, []
+    for travel in np.diff(servo):
+        taken = min(max(slack + travel, 0.0), lost)
+        moved.append(travel - (taken - slack))
+        slack = taken
+    return np.square(moved[steps // 2 :]).mean() / np.square(np.diff(servo)[steps // 2 :]).mean()
+
+
 class FinBacklash(FineWorld):
     def received(self, command):
-        less = self.values["missing"] * math.degrees(self.values["travel_rad"]) / 2
-        return np.column_stack([command[:, 0], np.maximum(command[:, 1] - less, 0), command[:, 2]])
+        play_deg, by_width = math.degrees(self.values["travel_rad"]), self.values["missing"]
+        lost = np.minimum(play_deg / np.maximum(command[:, 1], 1e-6), 2.0)
+        grid = np.linspace(0, 2, 201)
+        speed2 = np.interp(lost, grid, [speed_squared_behind_play(one) for one in grid])
+        left = np.sqrt(by_width * (1 - lost / 2) ** 2 + (1 - by_width) * speed2)
+        return np.column_stack([command[:, 0], left * command[:, 1], command[:, 2]])
 
 
 class Patch(FineWorld):

@@ -17,15 +17,16 @@ class Config(Mechanism):
     """A gear has play, which is taken up anew after each reversal.
 
     A wheel carries on which side the play lies. While that sets it free it rolls on, ever slower, as friction lets it:
-    into the play as well, when its motor stops. A fin that beats to and fro takes it up in each stroke: up to half of
-    it is missing from the amplitude, and another angle is steered to when the servo has taken it up.
+    into the play as well, when its motor stops. A fin that beats to and fro takes it up in each stroke: it is by half
+    of it less wide, and stands at its ends until the servo has come as far, but is as fast as ever in between. Another
+    angle is steered to when the servo has taken it up.
 
     Attributes:
         travel_mm: of wheels, at the rim.
         coasting_mm: how far a free wheel rolls on from the robot's largest speed, from any other in proportion to its
             square; None: it stands at once.
         travel_rad: of a fin's joint.
-        missing: share of half of it that is missing from a fin's amplitude; None: all.
+        missing: by what share a fin's push follows how wide its strokes are, and not how fast; None: all.
         servo_rad_s: speed at which a fin's servo takes it up, sold with 0.05 to 0.26 s for 60 degrees; None: at once.
     """
 
@@ -70,11 +71,17 @@ class Config(Mechanism):
         }
 
     def transform_command(self, command: Tensor, moment: Moment) -> Tensor:
-        """Take a share of half of the play from the amplitude of a fin."""
+        """Give a fin the amplitude that pushes as much without play: a mean of squares, as thrust is."""
         if self.travel_rad is None:
             return command
-        half_deg = math.degrees(self.travel_rad) / 2 * (1.0 if self.missing is None else self.missing)
-        return change_effort(command, moment, lambda effort: (effort - half_deg).clamp(min=0.0))
+        travel_deg, by_width = math.degrees(self.travel_rad), 1.0 if self.missing is None else self.missing
+
+        def pushing_as_much(amplitude: Tensor) -> Tensor:
+            lost = (travel_deg / amplitude.clamp(min=1e-6)).clamp(max=2.0)
+            width2, speed2 = (1 - lost / 2) ** 2, _speed_squared(lost)
+            return amplitude * (by_width * width2 + (1 - by_width) * speed2).clamp(min=0.0).sqrt()
+
+        return change_effort(command, moment, pushing_as_much)
 
     def mean_command(self, command: Tensor, previous: Tensor, moment: Moment) -> Tensor:
         """Let a fin steer as before until the play is taken up."""
@@ -122,3 +129,12 @@ class Config(Mechanism):
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
         """Look at wheels in eighths of a period: travel is lost at its beginning."""
         return tuple(step / 8 for step in range(1, 8)) if self.travel_mm is not None else ()
+
+
+def _speed_squared(lost: Tensor) -> Tensor:
+    """Return the mean square of a beating fin's speed with play over that without, by the play over the amplitude.
+
+    The servo goes by the cosine of its phase since it turned; the fin stands until that is 1 − lost.
+    """
+    stands = torch.arccos((1 - lost).clamp(-1.0, 1.0))
+    return 1 - (stands - torch.sin(2 * stands) / 2) / math.pi

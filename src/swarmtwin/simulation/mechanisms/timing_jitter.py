@@ -41,7 +41,7 @@ class Config(Mechanism):
         if math.sqrt(((lasted - 1) ** 2).mean()) <= 0.003:
             return None
         mean, variance = float(lasted.mean()), float(lasted.var())
-        if mean + 5 * math.sqrt(variance) < longest:  # none of these lasts too long
+        if mean + 5 * math.sqrt(variance) < longest or lasted.max() > longest:  # none is left out
             return {"spread": math.sqrt(variance), "mean": mean}
 
         def loss(values: np.ndarray) -> float:
