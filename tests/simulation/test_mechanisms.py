@@ -137,7 +137,7 @@ def test_parameters_are_those_of_the_actuator(robots):
     backlash, asymmetry = mechanism_class("backlash"), mechanism_class("actuator_asymmetry")
     assert set(backlash.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"travel_mm", "coasting_mm"}
     fin = backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))
-    assert set(fin) == {"travel_rad", "missing", "servo_rad_s"}
+    assert set(fin) == {"travel_rad", "by_width", "servo_rad_s"}
     lag = mechanism_class("actuator_lag")
     assert set(lag.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"time_constant_s"}
     own = {"time_constant_s", "own_time_constant_s"}
@@ -176,7 +176,7 @@ def test_a_fin_with_play_steers_late_by_what_its_servo_needs_to_take_it_up(robot
     mur = robots["mur"]
     situation = situation_of(mur, np.random.default_rng(1))
     situation = replace(situation, earlier_command=situation.previous_command)
-    late = {"travel_rad": 0.2, "missing": 0.0, "servo_rad_s": 5.0}  # 40 ms of a period of 0.8 s
+    late = {"travel_rad": 0.2, "by_width": 0.0, "servo_rad_s": 5.0}  # 40 ms of a period of 0.8 s
     measured, _ = moved(mur, "backlash", situation, **late)
     command = situation.command.clone()
     command[:, 0] += 0.05 * (situation.previous_command[:, 0] - command[:, 0])
@@ -186,7 +186,7 @@ def test_a_fin_with_play_steers_late_by_what_its_servo_needs_to_take_it_up(robot
 
 def test_a_fin_with_play_is_at_most_a_period_late(robots):
     swift = changed(robots["mur"], period_s=0.1, longest_gap_s=0.12)
-    played = mechanism_class("backlash").at({"travel_rad": 1.0, "missing": 0.0, "servo_rad_s": 4.0})  # 250 ms
+    played = mechanism_class("backlash").at({"travel_rad": 1.0, "by_width": 0.0, "servo_rad_s": 4.0})  # 250 ms
     command, previous = torch.tensor([[40.0, 30.0, 6.0]]), torch.tensor([[-20.0, 10.0, 4.0]])
     acting = played.mean_command(command, previous, SimpleNamespace(robot=swift))
     torch.testing.assert_close(acting, torch.tensor([[-20.0, 30.0, 6.0]]))

@@ -191,7 +191,7 @@ def speed_squared_behind_play(lost, steps=4000):
 
 class FinBacklash(FineWorld):
     def received(self, command):
-        play_deg, by_width = math.degrees(self.values["travel_rad"]), self.values["missing"]
+        play_deg, by_width = math.degrees(self.values["travel_rad"]), self.values["by_width"]
         lost = np.minimum(play_deg / np.maximum(command[:, 1], 1e-6), 2.0)
         grid = np.linspace(0, 2, 201)
         speed2 = np.interp(lost, grid, [speed_squared_behind_play(one) for one in grid])
@@ -279,7 +279,7 @@ EFFECTS = {
 OF_A_FIN = {
     "actuator_asymmetry": (Trim, {"angle_rad": 0.15}),
     "actuator_lag": (SettingLag, {"time_constant_s": 0.25}),
-    "backlash": (FinBacklash, {"travel_rad": 0.2, "missing": 0.6}),
+    "backlash": (FinBacklash, {"travel_rad": 0.2, "by_width": 0.6}),
     "command_delay": (Delay, {"delay_s": 0.2}),
 }
 COMMANDS = {

@@ -26,7 +26,7 @@ class Config(Mechanism):
         coasting_mm: how far a free wheel rolls on from the robot's largest speed, from any other in proportion to its
             square; None: it stands at once.
         travel_rad: of a fin's joint.
-        missing: by what share a fin's push follows how wide its strokes are, and not how fast; None: all.
+        by_width: by what share a fin's push follows how wide its strokes are, and not how fast; None: all.
         servo_rad_s: speed at which a fin's servo takes it up, sold with 0.05 to 0.26 s for 60 degrees; None: at once.
     """
 
@@ -41,7 +41,7 @@ class Config(Mechanism):
     travel_mm: float | None = None
     coasting_mm: float | None = None
     travel_rad: float | None = None
-    missing: float | None = None
+    by_width: float | None = None
     servo_rad_s: float | None = None
 
     @classmethod
@@ -66,7 +66,7 @@ class Config(Mechanism):
         high = math.radians(efforts[0].high)
         return {
             "travel_rad": Parameter(0.0, high, 0.0, "rad", (0.05, 0.2), 0.01),
-            "missing": Parameter(0.0, 1.0, None, "", (0.25, 0.75), 0.02, doubted_ends="none"),
+            "by_width": Parameter(0.0, 1.0, None, "", (0.25, 0.75), 0.02, doubted_ends="none"),
             "servo_rad_s": Parameter(4.0, 21.0, None, "rad/s", (7.0, 14.0), 0.2, doubted_ends="high"),
         }
 
@@ -74,7 +74,7 @@ class Config(Mechanism):
         """Give a fin the amplitude that pushes as much without play: a mean of squares, as thrust is."""
         if self.travel_rad is None:
             return command
-        travel_deg, by_width = math.degrees(self.travel_rad), 1.0 if self.missing is None else self.missing
+        travel_deg, by_width = math.degrees(self.travel_rad), 1.0 if self.by_width is None else self.by_width
 
         def pushing_as_much(amplitude: Tensor) -> Tensor:
             lost = (travel_deg / amplitude.clamp(min=1e-6)).clamp(max=2.0)
