@@ -288,7 +288,8 @@ def _gain(before: np.ndarray, after: np.ndarray, run: np.ndarray, draws: int, rn
         return Gain(before=means[0], after=means[1], low=-abs(means[1]), high=abs(means[0]))
     ends = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), [0.025, 0.975])
     mean = float((before - after).mean())
-    low, high = mean + (ends - mean) * _interval_size(len(sums)) / stats.norm.ppf(0.975)
+    error = math.sqrt(((sums[:, 0] - mean * sums[:, 1]) ** 2).sum()) / len(before)
+    low, high = mean + (ends - mean) * 2 * error * _interval_size(len(sums)) / max(np.ptp(ends), 1e-12)
     return Gain(before=means[0], after=means[1], low=float(low), high=float(high))
 
 
@@ -296,6 +297,6 @@ def _interval_size(runs: int) -> float:
     """Return half the width of a 95 % interval of a mean over runs, two or more, in the deviations of its bootstraps.
 
     These are too narrow by one in `runs` in variance, and know nothing of the error of a variance, as Student's t does
-    (Efron and Tibshirani, 1993, chapter 12). Of two runs an interval is 9 times as wide as their quantiles.
+    (Efron and Tibshirani, 1993, chapter 12): bootstraps say how an interval leans, and t how wide it is.
     """
     return float(stats.t.ppf(0.975, runs - 1)) * math.sqrt(runs / (runs - 1))
