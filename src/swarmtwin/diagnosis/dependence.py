@@ -11,7 +11,7 @@ from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.random_effects import RandomEffects
 from swarmtwin.diagnosis.result import Dependence
-from swarmtwin.diagnosis.settings import DependenceSettings
+from swarmtwin.diagnosis.settings import DependenceSettings, MotionNoiseSettings
 from swarmtwin.simulation.residual_model import residual_encoding
 
 
@@ -78,7 +78,7 @@ def dependence_tests(
     seed: int,
     settings: DependenceSettings | None = None,
     reference_discrepancy: bool = True,
-    usual_spread: float = 0.06,
+    usual_spread: float | None = None,
 ) -> list[Dependence]:
     """Test what residuals depend on beyond what the reference's own residuals do.
 
@@ -93,14 +93,16 @@ def dependence_tests(
         seed: of the draws.
         settings: of the tests; None: the defaults.
         reference_discrepancy: whether a dependence that the reference shows as well is no news.
-        usual_spread: standard deviation between sessions of the log of the noise's: less than two of them is no news.
+        usual_spread: standard deviation between sessions of the log of the noise's: less than two of them is no news;
+            None: that between sessions of one vehicle.
     """
     settings = settings or DependenceSettings()
     rng = np.random.default_rng(seed)
     tests = _situation_tests(measured, reference if reference_discrepancy else None, settings, rng)
     tests = [_joined_with_runs(test, measured) if test.part == "time" else test for test in tests]
     tests += _shape_tests(measured, reference, settings, rng)
-    return _controlled(tests, settings, usual_spread)
+    usual = MotionNoiseSettings().usual_spread if usual_spread is None else usual_spread
+    return _controlled(tests, settings, usual)
 
 
 def _situation_tests(
@@ -257,14 +259,14 @@ def _joined_with_runs(test: Dependence, residuals: StandardisedResidual) -> Depe
     parts = int(part.max()) + 1
     owner = np.zeros(parts, int)
     owner[part] = vehicle
-    later = _in_second_half(part)
+    later, weight = _in_second_half(part), residuals.weight
     products, shared = np.zeros(parts), 0.0
     for axis in (0, 2):
         size = residuals.size[:, axis]
         for regressor in (np.ones(len(size)), size):
             slopes, weights = (
                 np.stack([np.bincount(part, values * (half == later), parts) for half in (False, True)])
-                for values in (regressor * residuals.residual[:, axis], regressor**2)
+                for values in (weight * regressor * residuals.residual[:, axis], weight * regressor**2)
             )
             usual, known = (np.bincount(owner, both.sum(axis=0)) for both in (slopes, weights))
             beyond = slopes - (usual / np.maximum(known, 1e-9))[owner] * weights

@@ -13,6 +13,13 @@ Share = Annotated[float, Field(gt=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]
 
 
+def _full_thrust(robot: Robot) -> float:
+    """Return the largest command of a wheel, or the largest amplitude of a fin."""
+    if robot.actuation.kind == "thrust":
+        return robot.command["amplitude_deg"].high
+    return float(max(np.abs(robot.command_high).max(), 1.0))
+
+
 class BrushedFloor(Effect):
     """The ground grips along one direction better than across it, as brushed metal or a carpet's pile does."""
 
@@ -101,10 +108,7 @@ class CoarseCommands(Effect):
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Round."""
-        limit = float(max(np.abs(robot.command_high).max(), 1.0))
-        if robot.actuation.kind == "thrust":
-            limit = robot.command["amplitude_deg"].high
-        most = math.floor(limit / self.step) * self.step
+        most = math.floor(_full_thrust(robot) / self.step) * self.step
         return change_thrust(
             command, robot, lambda thrust: np.clip(np.round(thrust / self.step) * self.step, -most, most)
         )
@@ -117,9 +121,7 @@ class BentResponse(Effect):
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Bend by a parabola that leaves nothing and everything as they are."""
-        limit = float(max(np.abs(robot.command_high).max(), 1.0))
-        if robot.actuation.kind == "thrust":
-            limit = robot.command["amplitude_deg"].high
+        limit = _full_thrust(robot)
 
         def bent(thrust: np.ndarray) -> np.ndarray:
             share = np.abs(thrust) / limit
