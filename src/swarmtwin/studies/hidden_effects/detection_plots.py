@@ -120,7 +120,7 @@ def _draw_shares(axes: Axes, single: pd.DataFrame, size: str, edges: Sequence[fl
 
 
 def parameters_figure(parameters: pd.DataFrame) -> Figure:
-    """Draw relative errors of parameters told in the unit they are hidden in, red where outside their interval."""
+    """Draw errors, of what they change, of parameters told in the unit they are hidden in, red where outside their interval."""
     sized = parameters[parameters.error_percent.notna() & parameters.same_unit]
     groups = list(sized.groupby(sized.cause + ": " + sized.name))
     with style():
@@ -132,7 +132,7 @@ def parameters_figure(parameters: pd.DataFrame) -> Figure:
                 axes.plot(errors[chosen], np.full(chosen.sum(), row), "o", markersize=3, alpha=0.6, color=colour)
             axes.plot(errors.median(), row, "|", markersize=12, color=MEASURED)
         axes.axvline(2.0, color=MEASURED, linewidth=0.8, linestyle=":")
-        axes.set(xscale="log", xlabel="error, % of the true value (bar: median; red: outside its interval)")
+        axes.set(xscale="log", xlabel="error, % of what the parameter changes (bar: median; red: outside its interval)")
         axes.set_yticks(range(len(groups)), [str(name) for name, _ in groups])
     return figure
 
