@@ -20,7 +20,7 @@ def test_errors_of_the_simulation_look_like_mechanisms_of_their_plain_form_each_
     assert lags
     assert all(one.own_time_constant_s is None for one in lags)
     assert plays
-    assert all(one.missing is None and one.servo_rad_s is None for one in plays)
+    assert all(one.by_width is None and one.servo_rad_s is None for one in plays)
     assert len({repr(one) for one in directions}) == len(directions)
 
 

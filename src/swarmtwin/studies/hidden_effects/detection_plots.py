@@ -120,7 +120,7 @@ def _draw_shares(axes: Axes, single: pd.DataFrame, size: str, edges: Sequence[fl
 
 
 def parameters_figure(parameters: pd.DataFrame) -> Figure:
-    """Draw errors, of what they change, of parameters told in the unit they are hidden in, red where outside their interval."""
+    """Draw errors, in percent of what they change, of parameters told as they are hidden; red: outside the interval."""
     sized = parameters[parameters.error_percent.notna() & parameters.same_unit]
     groups = list(sized.groupby(sized.cause + ": " + sized.name))
     with style():
