@@ -152,6 +152,25 @@ def test_silence_is_right_where_nothing_is_wrong_and_where_there_is_no_name():
     assert summary["outside"]["costly_found"].total == 3
 
 
+def test_what_acts_by_another_law_is_to_be_named_all_the_same():
+    results = [
+        result("misspecified", "worn_rim", ["wall_effect"], likeliest=("wall_effect",)),
+        result("misspecified", "worn_rim", ["surface_patch", "wall_effect"]),
+        result("misspecified", "worn_rim", verdict="unexplained", rise=5.0, likeliest=("wall_effect",)),
+        result("misspecified", "soft_patch", ["surface_patch"], likeliest=("surface_patch",)),
+    ]
+    summary = summarise(results)
+    own = summary["families"]["formulas"]["misspecified"]
+    counts = {name: share.count for name, share in own.items() if name != "gain"}
+    likely = {"likeliest_true": 3, "falsely_named": 1, "not_explained": 1}
+    assert counts == {"found": 4, "exact": 2, "exact_of_clear": 2, **likely}
+    assert (own["exact_of_clear"].total, own["gain"]["count"]) == (3, 3)
+    assert [share.count for share in summary["misspecified_by_effect"]["worn_rim"].values()] == [3, 1, 2, 1, 1]
+    assert summary["families"]["formulas"]["gain"]["count"] == 0
+    table = next(table for table in study_tables(summary) if table.title.startswith("Causes that act by another law"))
+    assert table.rows[0] == ["worn_rim", "wall_effect", "3 of 3", "1 of 3", "2 of 3", "1 of 3", "1 of 3"]
+
+
 def test_a_failed_diagnosis_is_no_success_of_any_kind():
     failed = {"verdict": None, "failure": "ValueError: no", "gained": None}
     results = [
@@ -290,6 +309,7 @@ def test_the_confusion_counts_who_is_taken_for_whom():
         result("one", "gain_change", ["gain_change"]),
         result("one", "gain_change", ["battery_sag"]),
         result("one", "gain_change", verdict="unexplained"),
+        result("misspecified", "worn_rim", ["wall_effect"]),
         result("outside", "whirl"),
         result("clean", "plain", ["noise_change"]),
     ]
@@ -299,6 +319,7 @@ def test_the_confusion_counts_who_is_taken_for_whom():
         ("gain_change", "gain_change"): 1,
         ("gain_change", "battery_sag"): 1,
         ("gain_change", "no name"): 1,
+        ("worn_rim", "wall_effect"): 1,
         ("whirl", "nothing wrong"): 1,
         ("nothing wrong", "noise_change"): 1,
     }

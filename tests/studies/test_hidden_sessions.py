@@ -22,6 +22,7 @@ from swarmtwin.studies.hidden_effects.cases import Case, cases
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES, clean_session
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_that_raises
+from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAW_SIZES
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 from swarmtwin.studies.hidden_effects.sessions import (
     made_effects,
@@ -50,7 +51,7 @@ def same_recording(one, other):
 
 
 def test_the_same_seed_draws_the_same_cases_and_more_of_them_change_none():
-    for kind in ("one", "two", "outside", "clean"):
+    for kind in ("one", "two", "misspecified", "outside", "clean"):
         few, many = cases("formulas", kind, 5, 7), cases("formulas", kind, 9, 7)
         assert many[:5] == few
         assert len({case.key for case in many}) == 9
@@ -314,7 +315,7 @@ def test_a_clean_recording_holds_its_own_arena_its_clock_and_its_noise(robots):
 
 
 def test_every_effect_makes_sense_at_its_smallest_and_largest_size(robots):
-    for name, sizes in {**CATALOGUE, **OUTSIDE}.items():
+    for name, sizes in {**CATALOGUE, **OTHER_LAW_SIZES, **OUTSIDE}.items():
         for robot, ends in sizes.items():
             case = Case(family="formulas", kind="outside", robot=robot, names=[name], rises_percent=[1.0], seed=1)
             session = dataclasses.replace(reference_session(case, robots[robot]), vehicles=("1", "2"))

@@ -17,6 +17,7 @@ class ActiveEffects:
     Attributes:
         delay_s: how late each command arrives.
         loss_probability: how probably a command never arrives.
+        lost_in_a_row: how many are lost one after the other, on average; 0 where each is lost by itself.
         lag_s: what is added to the actuators' time constant.
         backlash: travel lost at each reversal, mm or rad.
         trim_rad: angle of the fin when it is told to be straight.
@@ -31,6 +32,7 @@ class ActiveEffects:
         self.delay_s = self.character.delay_s + sum(effect.command_delay_s() for effect in effects)
         arriving = [1.0 - self.character.loss_probability, *(1.0 - effect.loss_probability() for effect in effects)]
         self.loss_probability = 1.0 - float(np.prod(arriving))
+        self.lost_in_a_row = max((effect.lost_in_a_row() for effect in effects), default=0.0)
         self.lag_s = sum(effect.lag_s() for effect in effects)
         self.backlash = sum(effect.backlash() for effect in effects)
         self.trim_rad = sum(effect.trim_rad() for effect in effects)
@@ -58,6 +60,19 @@ class ActiveEffects:
     def rolls(self) -> bool:
         """Whether an effect changes how far wheels come, or remembers how far they came."""
         return bool(self._rolling)
+
+    def lost(self, chance: np.ndarray, before: np.ndarray | None) -> np.ndarray:
+        """Say which commands (...) never arrive in a period.
+
+        Args:
+            chance: (...) drawn evenly from 0 to 1.
+            before: (...) which were lost in the period before; None where nothing was sent before.
+        """
+        if before is None or not self.lost_in_a_row:
+            return chance < self.loss_probability
+        goes_on = 1.0 - 1.0 / self.lost_in_a_row
+        begins = self.loss_probability * (1.0 - goes_on) / (1.0 - self.loss_probability)
+        return chance < np.where(before, goes_on, begins)
 
     def transform_command(self, command: np.ndarray) -> np.ndarray:
         """Return what the electronics make of commands (m, ...)."""

@@ -88,6 +88,10 @@ class Effect(StrictModel):
         """Link: how probably a command never arrives, so that the previous one goes on."""
         return 0.0
 
+    def lost_in_a_row(self) -> float:
+        """Link: how many commands are lost one after the other, on average; 0 where each is lost by itself."""
+        return 0.0
+
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
         """Actuator: what the electronics make of a command (m, ...)."""
         return command
@@ -151,6 +155,13 @@ class Effect(StrictModel):
     def clock_rate(self, progress: Any) -> Any:
         """Clock: how fast that of the recording goes; at more than 1 it shows more time than passes."""
         return 1.0
+
+
+def wall_distance_mm(placement: Placement, arena: Arena) -> np.ndarray:
+    """Return how far (...) vehicles are from the nearest wall; 0 at it and beyond."""
+    from_x = np.minimum(placement.x_mm - arena.x[0], arena.x[1] - placement.x_mm)
+    from_y = np.minimum(placement.y_mm - arena.y[0], arena.y[1] - placement.y_mm)
+    return np.maximum(np.minimum(from_x, from_y), 0.0)
 
 
 def thrust_columns(robot: Robot) -> tuple[str, ...]:

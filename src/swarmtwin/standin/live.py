@@ -60,6 +60,7 @@ class LiveStandIns(ABC):
         self._state = self._switched_on(np.zeros((groups, len(vehicles), 3)))
         self._active = np.empty((len(robot.command), groups, len(vehicles)))
         self._active[:] = np.reshape(self.resting_command, (-1, 1, 1))
+        self._lost = np.zeros((groups, len(vehicles)), bool)
         self._elapsed_s = np.zeros(groups)
 
     def place(self, worlds: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -70,6 +71,7 @@ class LiveStandIns(ABC):
         """
         self._state[:, worlds] = self._put_back(worlds, pose.astype(float))
         self._active[:, worlds] = np.reshape(self.resting_command, (-1, 1, 1))
+        self._lost[worlds] = False
         self._elapsed_s[worlds] = 0.0
         return self._measured(worlds)
 
@@ -81,8 +83,8 @@ class LiveStandIns(ABC):
         """
         conditions = self._session.conditions
         groups, vehicles = self._state.shape[1:]
-        lost = self._streams.of("link").random((groups, vehicles)) < conditions.loss_probability
-        arriving = np.where(lost, self._active, np.moveaxis(command, -1, 0))
+        self._lost = conditions.lost(self._streams.of("link").random((groups, vehicles)), self._lost)
+        arriving = np.where(self._lost, self._active, np.moveaxis(command, -1, 0))
         nominal_s = np.full((groups, 1), self.robot.period_s)
         duration_s = conditions.durations(nominal_s, self._streams.of("clock"))
         progress = np.minimum(self._elapsed_s / self._planned_s, 1.0)[:, None]

@@ -152,15 +152,16 @@ def drive_session(session: StandInSession, purpose: str = "session") -> DrivenSe
     character = session.conditions.character
     tail = character.heavy_tail(character.motion_freedom, shape, streams, "motion's tail")
     noise *= tail.astype(np.float32)[:, :, None, None]
-    lost = streams.of("link").random(shape) < session.conditions.loss_probability
+    chance = streams.of("link").random(shape)
 
     state = physics.at_rest(np.moveaxis(plan.start, -1, 0))
     active = np.empty((len(session.robot.command), *state.shape[1:]))
     active[:] = np.reshape(physics.resting_command, (-1, 1, 1))
-    states, actives, sent = [state], [active], []
+    states, actives, sent, lost = [state], [active], [], None
     for step in range(session.steps):
         command = operator.steer(session.robot, physics, np.moveaxis(state[:3], 0, -1), plan, step)
-        arriving = np.where(lost[:, step], active, np.moveaxis(command, -1, 0))
+        lost = session.conditions.lost(chance[:, step], lost)
+        arriving = np.where(lost, active, np.moveaxis(command, -1, 0))
         progress = session.progress(time_s[:, step, None])
         period = Period(arriving, active, duration_s[:, step, None], progress)
         state = advance(physics, state, period, noise[:, step].transpose(1, 2, 0, 3))

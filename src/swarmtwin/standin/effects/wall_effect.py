@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import Field
 
 from swarmtwin.robot import Arena
-from swarmtwin.standin.effect import Effect, Placement
+from swarmtwin.standin.effect import Effect, Placement, wall_distance_mm
 
 
 class WallEffect(Effect):
@@ -22,7 +22,4 @@ class WallEffect(Effect):
 
     def traction(self, placement: Placement, arena: Arena) -> np.ndarray:
         """Weaken the drive near the walls."""
-        from_x = np.minimum(placement.x_mm - arena.x[0], arena.x[1] - placement.x_mm)
-        from_y = np.minimum(placement.y_mm - arena.y[0], arena.y[1] - placement.y_mm)
-        distance_mm = np.maximum(np.minimum(from_x, from_y), 0.0)
-        return 1.0 - self.loss * np.exp(distance_mm * (-1.0 / self.reach_mm))
+        return 1.0 - self.loss * np.exp(wall_distance_mm(placement, arena) * (-1.0 / self.reach_mm))

@@ -37,17 +37,18 @@ def drive_rigid_session(session: StandInSession) -> DrivenSession:
     experience = session.physics(session.vehicles)
     plan = session.operator.plan(session.robot, shape, session.command_mode, played_commands(session), streams)
     time_s, duration_s = draw_clock(session, streams)
-    lost = streams.of("link").random(shape) < session.conditions.loss_probability
+    chance = streams.of("link").random(shape)
     noise_shape = (*shape[:2], machine.pieces, machine.noises, shape[2])
     noise = streams.of("motion").standard_normal(noise_shape, np.float32)
 
     state = machine.put(plan.start)
     active = np.empty((len(session.robot.command), *state.shape[1:]))
     active[:] = np.reshape(machine.resting_command, (-1, 1, 1))
-    states, actives, sent = [state], [active], []
+    states, actives, sent, lost = [state], [active], [], None
     for step in range(session.steps):
         command = session.operator.steer(session.robot, experience, np.moveaxis(state[:3], 0, -1), plan, step)
-        arriving = np.where(lost[:, step], active, np.moveaxis(command, -1, 0))
+        lost = session.conditions.lost(chance[:, step], lost)
+        arriving = np.where(lost, active, np.moveaxis(command, -1, 0))
         period = Period(arriving, active, duration_s[:, step, None], session.progress(time_s[:, step, None]))
         state = machine.advance(state, period, noise[:, step].transpose(1, 2, 0, 3))
         active = arriving

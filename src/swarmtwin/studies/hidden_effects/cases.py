@@ -13,11 +13,13 @@ from swarmtwin.robot import Positive, Seed, StrictModel
 from swarmtwin.standin.effects import catalogue
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, Sizes
+from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAW_SIZES, OTHER_LAWS
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS
 from swarmtwin.studies.stand_in_families import Family, driver_of, has_effect, has_robot
 
-Kind = Literal["one", "two", "three", "outside", "clean"]
+Kind = Literal["one", "two", "three", "misspecified", "outside", "clean"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+_SINGLE: Mapping[Kind, Mapping[str, Sizes]] = {"one": CATALOGUE, "misspecified": OTHER_LAW_SIZES, "outside": OUTSIDE}
 Count = Annotated[int, Field(ge=1)]
 Rises = tuple[Positive, Positive]
 
@@ -27,7 +29,8 @@ class Case(StrictModel):
 
     Attributes:
         family: which physics play the robot.
-        kind: how many causes of the catalogue hide in it, something that the catalogue does not know, or nothing.
+        kind: how many causes of the catalogue hide in it, one that acts by another law than its mechanism, something
+            that the catalogue does not know, or nothing.
         robot: its name.
         names: of the effects hidden.
         rises_percent: by how much each of them alone is to raise the one-step error, where its sizes reach that far.
@@ -62,6 +65,8 @@ class Case(StrictModel):
     @property
     def true_names(self) -> tuple[str, ...]:
         """The causes that a diagnosis should name: none where the catalogue has no name."""
+        if self.kind == "misspecified":
+            return tuple(OTHER_LAWS[name].cause for name in self.names)
         return () if self.kind == "outside" else self.names
 
     def rng(self, purpose: str) -> np.random.Generator:
@@ -114,7 +119,7 @@ def cases(
         names: tuple[str, ...] = ()
         variety = word
         low, high = rises_percent
-        if kind in ("one", "outside"):
+        if kind in _SINGLE:
             names, variety = (word,), ""
         elif kind in ("two", "three"):
             names, variety, low = _several(family, robot, 2 if kind == "two" else 3, rng), "", least_of_several_percent
@@ -138,8 +143,7 @@ def _turns(family: Family, kind: Kind, robots: Sequence[str]) -> list[tuple[str,
     robots = [robot for robot in robots if has_robot(family, robot)]
     if not robots:
         raise UserError(f"family {family!r} has none of these robots: leave it out, or give robots=[mgr]")
-    if kind in ("one", "outside"):
-        effects = CATALOGUE if kind == "one" else OUTSIDE
+    if effects := _SINGLE.get(kind):
         known = {robot: _known(family, robot, effects) for robot in robots}
         return [(robot, name) for name in effects for robot in robots if name in known[robot]]
     if kind == "clean":
@@ -149,7 +153,7 @@ def _turns(family: Family, kind: Kind, robots: Sequence[str]) -> list[tuple[str,
 
 def _known(family: Family, robot: str, effects: Mapping[str, Sizes]) -> list[str]:
     """Return the effects that a robot of a family can have."""
-    made = {**catalogue(), **OUTSIDE_EFFECTS}
+    made = {**catalogue(), **OTHER_LAWS, **OUTSIDE_EFFECTS}
     return [name for name, sizes in effects.items() if robot in sizes and has_effect(family, robot, name, made[name])]
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
 from swarmtwin.studies.hidden_effects.metrics import Proportion
+from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAWS
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 
 
@@ -20,14 +21,14 @@ def confusion(results: pd.DataFrame) -> pd.DataFrame:
     After the catalogue's causes come those that the diagnosis knows beside them, such as a user's own, then no name,
     nothing wrong, and diagnoses that failed.
     """
-    one = results[results.kind.isin(["one", "outside", "clean"])]
+    one = results[results.kind.isin(["one", "misspecified", "outside", "clean"])]
     hidden = one.about.where(one.kind != "clean", "nothing wrong")
     silent = one.verdict.map({"unexplained": "no name", "explained": "no name", "no_gap": "nothing wrong"})
     first = one.named.str.split("+").str[0]
     named = first.where(first != "", silent.fillna("failed"))
     others = sorted(set(first) - {"", *CATALOGUE})
     failed = ["failed"] if (named == "failed").any() else []
-    rows = [name for name in (*CATALOGUE, *OUTSIDE, "nothing wrong") if name in set(hidden)]
+    rows = [name for name in (*CATALOGUE, *OTHER_LAWS, *OUTSIDE, "nothing wrong") if name in set(hidden)]
     columns = [*CATALOGUE, *others, "no name", "nothing wrong", *failed]
     return pd.crosstab(hidden, named).reindex(index=rows, columns=columns, fill_value=0)
 
@@ -46,11 +47,11 @@ def confusion_figure(results: pd.DataFrame) -> Figure:
             axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
         axes.set_xticks(range(len(counts.columns)), list(counts.columns), rotation=60, ha="right")
         axes.set_yticks(range(len(counts)), list(counts.index))
-        known, outside = (sum(name in names for name in counts.index) for names in (CATALOGUE, OUTSIDE))
-        for below in {known, known + outside} - {0, len(counts)}:
+        groups = np.cumsum([sum(name in names for name in counts.index) for names in (CATALOGUE, OTHER_LAWS, OUTSIDE)])
+        for below in set(groups.tolist()) - {0, len(counts)}:
             axes.axhline(below - 0.5, color=MEASURED, linewidth=0.8)
         axes.axvline(list(counts.columns).index("no name") - 0.5, color=MEASURED, linewidth=0.8)
-        axes.set(xlabel="named first", ylabel="hidden: effects of the catalogue, of none, nothing")
+        axes.set(xlabel="named first", ylabel="hidden: effects of the catalogue, by other laws, of none, nothing")
         axes.grid(False)
     return figure
 

@@ -50,6 +50,11 @@ class Draw:
         """The largest command of an actuator that thrusts."""
         return thrust_limit(self.robot)
 
+    @property
+    def top_speed_mm_s(self) -> float:
+        """How fast the robot goes by full commands."""
+        return self.robot.largest_displacement.forward_mm / self.robot.period_s
+
     def sign(self) -> float:
         """Draw 1 or −1."""
         return float(self.rng.choice([-1.0, 1.0]))

@@ -31,6 +31,7 @@ LIMIT_BINS = {
 """How many times as large as its detection limit an effect is: from the first figure to below the second."""
 
 NAMING = ("exact", "found", "named_first", "listed", "falsely_named")
+OTHER_LAW = ("found", "exact", "likeliest_true", "falsely_named", "not_explained")
 SILENCE = ("found", "not_named", "not_explained")
 ALARMS = ("accused", "alarmed", "harmed")
 
@@ -94,6 +95,11 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             falsely_named: a cause was named that is not there.
         limits: `exact` of single effects, by how large they are beside the detection limit that their diagnosis states:
             from there on it should name 90 %.
+        misspecified: of causes that act by another law than their mechanisms, `found`, `exact` and `falsely_named`
+            likewise, and exact_of_clear: of those that raise the error by 10 % or more.
+            likeliest_true: the causes that are the likeliest together are these, whether or not they were named.
+            not_explained: it was not said that the catalogue explains all of it.
+            gain: as below.
         outside: of what the catalogue does not know
             found: likewise; costly_found: of what raises the error by 10 % or more.
             not_named: no cause was named; not_named_of_alarmed: where something was said to be wrong.
@@ -114,10 +120,11 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             above that of the exact mean, by the diagnosis and by a black-box residual. Where exact means are not known,
             `beside_twin`: of the error above that of the same session without the effects, which may err more.
         seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
-    Over all families: `cases`, `failed`, `outside_by_effect`, `clean_by_variety`, and of the methods that name causes,
-    on the same cases, `methods`: `named_first` and `exact` of single effects that raise the error by 10 % or more,
-    `accused` of clean sessions, and `outside`, those outside the catalogue to which no name was given. `true_model`: of
-    each family what is made of it with the true model in hand and, on the same cases, by the diagnosis.
+    Over all families: `cases`, `failed`, `misspecified_by_effect`, `outside_by_effect`, `clean_by_variety`, and of the
+    methods that name causes, on the same cases, `methods`: `named_first` and `exact` of single effects that raise the
+    error by 10 % or more, `accused` of clean sessions, and `outside`, those outside the catalogue to which no name was
+    given. `true_model`: of each family what is made of it with the true model in hand and, on the same cases, by the
+    diagnosis.
     """
     table = _judged(results_table(results))
     parameters, confidences = parameters_table(results), confidences_table(results)
@@ -125,11 +132,12 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         str(family): _family(own, parameters[parameters.family == family], confidences[confidences.family == family])
         for family, own in table.groupby("family", sort=False)
     }
-    outside, clean = (table[table.kind == kind] for kind in ("outside", "clean"))
+    misspecified, outside, clean = (table[table.kind == kind] for kind in ("misspecified", "outside", "clean"))
     return {
         "cases": len(table),
         "failed": Proportion.of(table.verdict == "failed"),
         "families": families,
+        "misspecified_by_effect": _of_each(misspecified, "about", lambda own: _proportions(own, OTHER_LAW)),
         "outside_by_effect": _of_each(outside, "about", _silence),
         "clean_by_variety": _of_each(clean, "about", lambda own: _proportions(own, ALARMS)),
         "methods": _methods(table),
@@ -143,7 +151,9 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
 
 def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) -> dict[str, Any]:
     parameters = said[said.same_unit]
-    one, outside, clean = (table[table.kind == kind] for kind in ("one", "outside", "clean"))
+    one, misspecified, outside, clean = (
+        table[table.kind == kind] for kind in ("one", "misspecified", "outside", "clean")
+    )
     hiding = table[table.kind.isin(["one", "two", "three"])]
     return {
         "cases": len(table),
@@ -151,6 +161,11 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "one": _naming_by_rise(one),
         **{kind: _naming(table[table.kind == kind]) for kind in ("two", "three")},
         "limits": {name: _exact_at_limits(one, *bin_ends) for name, bin_ends in LIMIT_BINS.items()},
+        "misspecified": {
+            **_proportions(misspecified, OTHER_LAW),
+            "exact_of_clear": Proportion.of(misspecified.exact[in_rise_bin(misspecified, CLEAR)]),
+            "gain": _gains(misspecified[in_rise_bin(misspecified, CLEAR)]),
+        },
         "outside": _silence(outside),
         "clean": {
             **_proportions(clean, ALARMS),

@@ -82,6 +82,7 @@ class Result(StrictModel):
         verdict: of the diagnosis; null where it failed.
         failure: why it failed.
         causes: in the order named.
+        likeliest: the causes that are the likeliest together, whether or not they were named.
         depends_on: what the residual depended on.
         gained: by the extended simulation.
         times_limit: size of a hidden effect over the size from which on the session would have named it with 90 %, as
@@ -104,6 +105,7 @@ class Result(StrictModel):
     verdict: Verdict | None = None
     failure: str | None = None
     causes: tuple[Cause, ...] = ()
+    likeliest: tuple[str, ...] = ()
     depends_on: tuple[str, ...] = ()
     gained: HeldOutGain | None = None
     times_limit: float | None = None
@@ -124,6 +126,7 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         times_limit: see `Result`.
         exact: the causes named are the true ones, all of them and no other.
         falsely_named: a cause is named that is not there.
+        likeliest: the causes that are the likeliest together; likeliest_true: they are the true ones and no others.
         fitting_first, fitting_exact, rule_first: likewise of the other methods.
         true_model, true_model_exact, true_model_seconds: likewise of what has the true model: `true_model_method`.
     """
@@ -151,6 +154,8 @@ def _row(result: Result) -> dict[str, Any]:
         "listed": bool(true) and set(true) <= {*named, *rivals},
         "exact": result.verdict is not None and sorted(named) == sorted(true),
         "falsely_named": bool(set(named) - set(true)),
+        "likeliest": "+".join(result.likeliest),
+        "likeliest_true": bool(true) and sorted(result.likeliest) == sorted(true),
         "depends_on": "+".join(result.depends_on),
         **{name: getattr(result.gained, name, None) for name in HeldOutGain.model_fields},
         "times_limit": result.times_limit,

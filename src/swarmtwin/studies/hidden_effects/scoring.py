@@ -85,6 +85,7 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Resul
             "verdict": said.verdict,
             "causes": said.causes,
             "true_causes": truth.causes_beside([cause.name for cause in said.causes]),
+            "likeliest": said.posterior[0].causes if said.posterior else (),
             "depends_on": said.depends_on,
             "gained": held_out_gain(known, twin, extended, held_out),
             "times_limit": times_limit(truth.causes, said.detection_limits, transitions.robot, conditions, case.family),
@@ -108,7 +109,7 @@ def _twin(truth: Truth, diagnosed: DiagnosedSession) -> Displacements | None:
     clean = clean.where(np.isfinite(clean.previous_command).all(axis=1))
     least = truth.twin.least_displacement(clean)
     if least is None:
-        if ONLY_RANDOM.intersection(effect["name"] for effect in truth.effects):
+        if ONLY_RANDOM.intersection(truth.case.names + truth.case.true_names):
             return None
         transitions = diagnosed.transitions
         held_out = {run_of(transitions.runs[run]) for run in np.unique(transitions.run[diagnosed.held_out])}
@@ -138,7 +139,7 @@ def _times_limit(
     family: Family,
 ) -> float | None:
     limit = next((one for one in limits if one.cause == name), None)
-    if limit and name == "steady_drift":
+    if limit and name == "steady_drift" and true:
         return abs(true["speed_mm_s"] / limit.value) if limit.value else 0.0
     if limit is None or limit.parameter not in true or is_another_unit(family, robot.name, name, limit.parameter):
         return None

@@ -21,6 +21,7 @@ from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.clean_sessions import CleanSession, blurred, clean_session
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, rise_percent, size_that_raises
+from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAW_PARAMETERS, OTHER_LAW_SIZES, OTHER_LAWS
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS, OUTSIDE_PARAMETERS
 from swarmtwin.studies.stand_in_families import Family, driver_of, session_options
 from swarmtwin.studies.stand_in_recording import record
@@ -87,11 +88,13 @@ class Truth:
     def causes_beside(self, named: Collection[str]) -> dict[str, dict[str, float]]:
         """Return the causes that are to be named, with their parameters; none where the catalogue has no name.
 
+        What acts by another law than its mechanism has no parameters of it.
+
         A clock that is never steady shows its usual spread and what was hidden together; where a patch is, is told as
         the camera shows it, but for what is `named` as wrong with the camera, which is taken out of what it shows.
         """
-        if self.case.kind == "outside":
-            return {}
+        if self.case.kind in ("outside", "misspecified"):
+            return {name: {} for name in self.case.true_names}
         causes = {effect["name"]: {key: one for key, one in effect.items() if key != "name"} for effect in self.effects}
         if "timing_jitter" in causes:
             usual = self.measured.footage.session.conditions.character.jitter
@@ -154,7 +157,7 @@ def made_effects(entries: tuple[dict[str, Any], ...], session: StandInSession) -
             made += parse_effects([entry], session.robot, len(session.vehicles))
         else:
             own = {key: value for key, value in entry.items() if key != "name"}
-            made.append(OUTSIDE_EFFECTS[entry["name"]].parse(own, entry["name"]))
+            made.append({**OTHER_LAWS, **OUTSIDE_EFFECTS}[entry["name"]].parse(own, entry["name"]))
     return tuple(made)
 
 
@@ -174,7 +177,7 @@ def measured_session(case: Case, robot: Robot, same_vehicle: float = 0.6) -> Cle
         if case.variety == "other_vehicle":
             vehicles = (others[0],)
         return clean_session(case.variety, _usual(case, robot, vehicles, case.runs, seed), rng)
-    if "neighbour_interaction" in case.names:
+    if "neighbour_interaction" in case.true_names:
         vehicles = (*vehicles, others[1])
     return CleanSession(_usual(case, robot, vehicles, max(8, case.runs // len(vehicles)), seed))
 
@@ -230,7 +233,7 @@ def sized_effect(
             return math.inf
         return rise_percent(simulation.error(transitions), usual)
 
-    low, high = {**CATALOGUE, **OUTSIDE}[name][case.robot]
+    low, high = {**CATALOGUE, **OTHER_LAW_SIZES, **OUTSIDE}[name][case.robot]
     sizes = low, max(low, largest * high)
     return sized_entry(name, size_that_raises(wanted_percent, sizes, rise), case, session)
 
@@ -238,7 +241,7 @@ def sized_effect(
 def sized_entry(name: str, size: float, case: Case, session: StandInSession) -> dict[str, Any]:
     """Return an effect of some size as `record` takes it; what else is left to chance is the same for every size."""
     drawn = Draw(size, session.robot, session.run_length_s, session.length_s, case.rng(f"effect {name}"))
-    parameters = {**PARAMETERS, **OUTSIDE_PARAMETERS}[name](drawn)
+    parameters = {**PARAMETERS, **OTHER_LAW_PARAMETERS, **OUTSIDE_PARAMETERS}[name](drawn)
     rounded = {key: round(one, 5) if isinstance(one, float) else one for key, one in parameters.items()}
     return {"name": name, **rounded}
 

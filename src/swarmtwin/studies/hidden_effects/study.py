@@ -61,6 +61,7 @@ class SessionCounts(StrictModel):
     one: Count
     two: Count
     three: Count
+    misspecified: Count
     outside: Count
     clean: Count
 

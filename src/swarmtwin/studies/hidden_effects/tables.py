@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, Proportion
+from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAWS
 from swarmtwin.studies.study_table import StudyTable
 
 Families = dict[str, dict[str, Any]]
@@ -31,6 +32,22 @@ def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
             ]
             for family, own in summary["families"].items()
             for name, one in sorted(own["parameters"].items())
+        ],
+    )
+    yield StudyTable(
+        "Causes that act by another law than their mechanisms",
+        (
+            "effect",
+            "is a",
+            "alarm",
+            "it and nothing else named",
+            "alone the likeliest",
+            "another named",
+            "part unexplained",
+        ),
+        [
+            [name, OTHER_LAWS[name].cause, *(_few(share) for share in own.values())]
+            for name, own in summary["misspecified_by_effect"].items()
         ],
     )
     yield StudyTable(
@@ -117,6 +134,14 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         (of_known, "", lambda own: _told(own["three"]["exact_of_known_vehicle"])),
         (above, "", lambda own: _told(own["three"]["exact_above_limits"])),
         ("  a cause named that is not there", "", lambda own: _told(own["three"]["falsely_named"])),
+        (
+            "by another law, error up by ≥ 10 %: it and nothing else",
+            "",
+            lambda own: _told(own["misspecified"]["exact_of_clear"]),
+        ),
+        ("  all of them, also smaller ones", "", lambda own: _told(own["misspecified"]["exact"])),
+        ("  alone the likeliest, named or not", "", lambda own: _told(own["misspecified"]["likeliest_true"])),
+        ("  a cause named that is not there", "", lambda own: _told(own["misspecified"]["falsely_named"])),
         ("in no catalogue: no cause named", "≥ 98 %", lambda own: _told(own["outside"]["not_named"])),
         ("  of these, where an alarm was raised", "", lambda own: _told(own["outside"]["not_named_of_alarmed"])),
         ("  alarm where the error is up by ≥ 10 %", "≥ 95 %", lambda own: _told(own["outside"]["costly_found"])),
