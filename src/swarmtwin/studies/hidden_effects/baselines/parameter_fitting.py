@@ -20,8 +20,8 @@ from swarmtwin.transitions import Transitions
 def fitted_causes(reference: Reference, transitions: Transitions, most_transitions: int = 2500) -> tuple[str, ...]:
     """Fit all mechanisms together by least squares (Levenberg-Marquardt), with intervals by runs, and name some.
 
-    Named are those of which a parameter's 95 % interval excludes the value at which it does nothing, the one farthest
-    outside first. `noise_change` and `timing_jitter` leave the mean as it is: the spread of the residuals that are
+    Named are those of which a parameter's interval excludes the value at which it does nothing, the one farthest
+    outside first: intervals that all together hold the truth with 95 % (Bonferroni). `noise_change` and `timing_jitter` leave the mean as it is: the spread of the residuals that are
     left, and of the periods, tells of them.
 
     Args:
@@ -40,7 +40,7 @@ def fitted_causes(reference: Reference, transitions: Transitions, most_transitio
     fit = JointFit(model, [kind for kind in of_the_mean if model.parameters([kind])])
     values = fit.run()
     strengths = fit.strengths(values) | fit.spreads(fit.residual(values))
-    outside = [name for name, z in strengths.items() if z > norm.ppf(0.975)]
+    outside = [name for name, z in strengths.items() if z > norm.ppf(1 - 0.025 / len(strengths))]
     return tuple(sorted(outside, key=lambda name: -strengths[name]))
 
 
