@@ -21,8 +21,8 @@ def fitted_causes(reference: Reference, transitions: Transitions, most_transitio
     """Fit all mechanisms together by least squares (Levenberg-Marquardt), with intervals by runs, and name some.
 
     Named are those of which a parameter's interval excludes the value at which it does nothing, the one farthest
-    outside first: intervals that all together hold the truth with 95 % (Bonferroni). `noise_change` and `timing_jitter` leave the mean as it is: the spread of the residuals that are
-    left, and of the periods, tells of them.
+    outside first: intervals that all together hold the truth with 95 % (Bonferroni). `noise_change` and `timing_jitter`
+    leave the mean as it is: the spread of the residuals that are left, and of the periods, tells of them.
 
     Args:
         reference: with the simulation.
