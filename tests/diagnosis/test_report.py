@@ -347,6 +347,25 @@ def test_what_weakens_is_told_of_what_it_acts_on(form, of):
 
 
 @pytest.mark.parametrize(
+    ("name", "parameter", "unit", "form", "said"),
+    [
+        ("dead_band", "width", "PWM", {}, "do nothing, and larger ones all that they should"),
+        ("dead_band", "width", "PWM", {"larger": "less"}, "do nothing, and larger ones as much less"),
+        ("saturation", "limit", "PWM", {}, "(0.15 to 0.25) are cut"),
+        ("saturation", "limit", "PWM", {"sets_in": "gradually"}, "(0.15 to 0.25) should"),
+        ("camera_scale", "scale", "", {}, "(0.15 to 0.25) times as long as they are"),
+        ("camera_scale", "ratio", "", {"axes": "apart"}, "and along y 0.20 (0.15 to 0.25) times as long as along x"),
+        ("actuator_lag", "time_constant_s", "s", {}, "with an additional time constant of 0.2"),
+        ("actuator_lag", "time_constant_s", "s", {"follows": "evenly"}, "to full speed within twice 0.2"),
+    ],
+)
+def test_a_law_is_told_by_its_words(name, parameter, unit, form, said):
+    parameters = {parameter: Estimate(value=0.2, low=0.15, high=0.25, unit=unit)}
+    cause = DELAY.model_copy(update={"name": name, "parameters": parameters, "form": form})
+    assert said in cause_words(cause)
+
+
+@pytest.mark.parametrize(
     ("gain", "ratio", "said"),
     [
         (0.922, 0.85, "because the left wheel runs at 0.85 of its speed – check its motor, gear and tyre."),

@@ -43,6 +43,45 @@ def test_a_lag_is_the_integral_of_a_decaying_speed(robots, share):
     torch.testing.assert_close(lagging, simulated + left * (old - simulated), rtol=0, atol=0.05)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
+def test_wheels_that_speed_up_evenly_come_to_full_speed_in_twice_the_time_constant(robots, share):
+    """A change that ends within the period loses its square over twice the acceleration."""
+    robot = robots["mgr"]
+    sent = torch.linspace(-100, 100, 9)[:, None].expand(9, 2)
+    held = torch.full((9, 2), 60.0)
+    changes = {"command": sent, "previous_command": held, "earlier_command": held}
+    situation = situation_of(robot, np.random.default_rng(3), count=9, **changes)
+    lag = {"time_constant_s": share * robot.period_s, "follows": "evenly"}
+    lagging, simulated = (one[:, 0] for one in moved(robot, "actuator_lag", situation, **lag))
+    old = ExactDynamics(robot).twist(situation.previous_command)[:, 0]
+    acceleration = robot.largest_displacement.forward_mm / (2 * share)  # mm a period, in a period
+    fine = (torch.arange(20_000) + 0.5) / 20_000
+    change = simulated - old
+    speed = old[:, None] + change.sign()[:, None] * torch.minimum(change.abs()[:, None], acceleration * fine)
+    torch.testing.assert_close(lagging, speed.mean(dim=1).to(lagging), rtol=0, atol=0.01)
+    in_time = change.abs() < acceleration
+    lost = change.sign() * change**2 / (2 * acceleration)
+    torch.testing.assert_close((simulated - lagging)[in_time], lost[in_time])
+
+
+def test_wheels_that_did_not_reach_their_speed_in_a_period_go_on_to_it_in_the_next(robots):
+    robot = robots["mgr"]
+    held, sent = torch.zeros(1, 2), torch.full((1, 2), 100.0)
+    lag = {"time_constant_s": 2.0 * robot.period_s, "follows": "evenly"}
+    ways = [
+        moved(
+            robot,
+            "actuator_lag",
+            situation_of(
+                robot, np.random.default_rng(3), count=1, command=sent, previous_command=one, earlier_command=held
+            ),
+            **lag,
+        )[0][0, 0]
+        for one in (held, sent)
+    ]
+    assert ways[1] == pytest.approx(3 * float(ways[0]), rel=0.01)
+
+
 def test_lag_of_nothing_is_nothing_and_grows_from_there(robots):
     for robot in (robots["mgr"], robots["mur"]):
         situation = situation_of(robot, np.random.default_rng(4))
@@ -116,6 +155,7 @@ def test_drift_is_the_same_in_the_arena_whatever_the_heading(robots):
     [
         ("camera_scale", {"scale": 1.23}),
         ("camera_scale", {"scale": 0.7}),
+        ("camera_scale", {"scale": 0.9, "axes": "apart", "ratio": 1.3}),
         ("lens_distortion", {"coefficient": 0.1}),
         ("lens_distortion", {"coefficient": -0.08}),
         ("lens_distortion", {"coefficient": 0.4}),
@@ -132,6 +172,19 @@ def test_a_camera_is_undone_exactly(robots, robot, name, values):
     assert (measured - situation.pose).abs().max() > 0.1
     back = camera.from_measured(measured, conditions)
     torch.testing.assert_close(back, situation.pose, rtol=0, atol=LENS_MM if name == "lens_distortion" else 1e-9)
+
+
+def test_a_camera_of_two_scales_stretches_ways_and_headings(robots):
+    robot = robots["mgr"]
+    conditions = conditions_of(robot)
+    scale = mechanism_class("camera_scale").at({"scale": 1.2, "axes": "apart", "ratio": 1.44})
+    middle = conditions.centre_mm
+    true = torch.tensor([[100.0, 0.0, math.pi / 4 + 2 * math.pi], [0.0, 100.0, math.pi / 2]], dtype=torch.float64)
+    seen = scale.to_measured(true + torch.nn.functional.pad(middle, (0, 1)), conditions)
+    torch.testing.assert_close(seen[:, :2] - middle, torch.tensor([[100.0, 0.0], [0.0, 144.0]], dtype=torch.float64))
+    expected = torch.tensor([2 * math.pi + math.atan(1.44), math.pi / 2], dtype=torch.float64)
+    torch.testing.assert_close(seen[:, 2], expected)
+    torch.testing.assert_close(scale.from_measured(seen, conditions)[:, 2], true[:, 2])
 
 
 def test_wrong_millimetres_per_pixel_are_those_of_what_the_lens_has_bent(robots):
@@ -244,6 +297,33 @@ def test_small_commands_do_nothing_and_large_ones_are_cut(robots):
     for name, values, command in (("dead_band", {"width": 30.0}, dead), ("saturation", {"limit": 70.0}, cut)):
         measured, _ = moved(robot, name, situation, **values)
         torch.testing.assert_close(measured, exp_map(base.twist(command)))
+
+
+@pytest.mark.parametrize("robot", ["mgr", "mur"])
+def test_friction_takes_its_part_of_every_command(robots, robot):
+    robot = robots[robot]
+    situation = situation_of(robot, np.random.default_rng(13))
+    less = situation.command.clone()
+    columns = [robot.command_columns.index(name) for name in robot.actuation.effort]
+    less[:, columns] = less[:, columns].sign() * (less[:, columns].abs() - 15.0).clamp(min=0.0)
+    measured, _ = moved(robot, "dead_band", situation, width=15.0, larger="less")
+    torch.testing.assert_close(measured, exp_map(ExactDynamics(robot).twist(less)))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8, 0.99])
+def test_a_gradual_limit_leaves_small_commands_and_gives_the_largest_what_it_says(robots, share):
+    robot = robots["mgr"]
+    high = float(robot.command_high[0])
+    sent = torch.tensor([[1e-3, -high], [high, high / 2]], dtype=torch.float64)
+    situation = situation_of(robot, np.random.default_rng(13), count=2, command=sent)
+    limit = {"limit": share * high, "sets_in": "gradually"}
+    bend = next(x for x in np.linspace(1e-3, 10, 100_000) if np.tanh(x) / x <= share) / high
+    measured, _ = moved(robot, "saturation", situation, **limit)
+    torch.testing.assert_close(
+        measured, exp_map(ExactDynamics(robot).twist(torch.tanh(bend * sent) / bend)), rtol=0, atol=0.02
+    )
+    unchanged, simulated = moved(robot, "saturation", situation, **{**limit, "limit": high})
+    torch.testing.assert_close(unchanged, simulated)
 
 
 def test_saturation_of_a_unicycle_is_that_of_its_wheels(robots):

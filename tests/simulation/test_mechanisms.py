@@ -57,8 +57,9 @@ def test_a_mechanism_says_what_it_is_and_what_to_do(robots, name):
     assert kind.model_fields["name"].default == name
     assert kind.remedy[0].islower()
     told = [
-        set(kind.units(robots[robot], conditions_of(robots[robot])))
+        set(form.units(robots[robot], conditions_of(robots[robot])))
         for robot in ROBOTS
+        for form in kind.forms(robots[robot])
         if kind.suits(robots[robot], conditions_of(robots[robot]))
     ]
     assert told

@@ -19,17 +19,17 @@ from swarmtwin.studies.hidden_effects.other_laws import (
     BatteryKnee,
     ChangedBattery,
     ChannelCurrent,
+    DriftingScale,
     FourthOrderLens,
+    GradualDeadBand,
     InverseSquareInteraction,
     LateReadings,
+    LeakySaturation,
     LimitedAcceleration,
     LinearWallEffect,
     LossInBursts,
-    OblongPixels,
-    OffsetDeadBand,
     RectangularPatch,
     SoftPatch,
-    SoftSaturation,
     WornRim,
 )
 from swarmtwin.studies.hidden_effects.sessions import measured_session, record_session
@@ -81,13 +81,11 @@ def test_a_battery_falls_fast_at_last_or_is_changed():
     np.testing.assert_allclose(ChangedBattery(loss=0.5).strength(at)[0], [1, 0.75, 0.51, 1, 0.75])
 
 
-def test_a_lens_bends_the_edge_alone_and_pixels_are_longer_than_wide():
+def test_a_lens_bends_the_edge_alone_and_a_scale_drifts():
     np.testing.assert_allclose(FourthOrderLens(coefficient=0.2).magnification(np.array([0, 0.5, 1])), [1, 1.0125, 1.2])
-    pixels = OblongPixels(error=0.1, x_mm=500.0, y_mm=500.0)
-    pose = np.array([[600.0, 300.0, 0.0], [600.0, 300.0, math.pi / 4 + 4 * math.pi]])
-    seen = pixels.picture(pose, 0.0)
-    np.testing.assert_allclose(seen[0], [615.0, 290.0, 0.0])
-    assert seen[1, 2] == pytest.approx(4 * math.pi + math.atan2(1.05, 1.15))
+    sinking = DriftingScale(error=0.1, x_mm=500.0, y_mm=500.0)
+    seen = sinking.picture(np.array([[600.0, 300.0, 1.0]] * 3), np.array([0.0, 0.5, 1.0]))
+    np.testing.assert_allclose(seen, [[600, 300, 1], [610, 280, 1], [620, 260, 1]])
 
 
 def test_neighbours_push_by_an_inverse_square():
@@ -97,14 +95,14 @@ def test_neighbours_push_by_an_inverse_square():
     assert y_mm_s[0, 0] == pytest.approx(0.0)
 
 
-def test_commands_are_compressed_or_lose_the_band(robots):
-    command = np.array([[120.0, -60.0], [10.0, 0.0]]).T.reshape(2, 2, 1)
-    soft = SoftSaturation(limit=120.0).transform_command(command, robots["mgr"])
-    np.testing.assert_allclose(soft[:, 0, 0], [120 * math.tanh(1), -120 * math.tanh(0.5)])
-    band = OffsetDeadBand(width=20.0).transform_command(command, robots["mgr"])
-    np.testing.assert_allclose(band[:, :, 0].T, [[100, -40], [0, 0]])
+def test_large_commands_do_less_and_small_ones_little(robots):
+    command = np.array([[120.0, -60.0], [20.0, 0.0]]).T.reshape(2, 2, 1)
+    leaky = LeakySaturation(limit=70.0).transform_command(command, robots["mgr"])
+    np.testing.assert_allclose(leaky[:, :, 0].T, [[90, -60], [20, 0]])
+    gradual = GradualDeadBand(width=20.0).transform_command(command, robots["mgr"])
+    np.testing.assert_allclose(gradual[:, :, 0].T, [[120 * 36 / 37, -54], [10, 0]])
     fin = np.array([10.0, 40.0, 9.0]).reshape(3, 1, 1)
-    np.testing.assert_allclose(OffsetDeadBand(width=5.0).transform_command(fin, robots["mur"])[:, 0, 0], [10, 35, 9])
+    np.testing.assert_allclose(LeakySaturation(limit=30.0).transform_command(fin, robots["mur"])[:, 0, 0], [10, 34, 9])
 
 
 def test_motors_of_limited_acceleration_lag_behind_far_changes_alone(robots):

@@ -4,15 +4,20 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
+from torch import Tensor
+
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Parameter
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
+from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):
     """Actuators follow to first order: what is left of the old speed decays with an additional `time_constant_s`.
 
-    Wheels: their speed lags, beyond the lag that the reference shows by itself. Thrust: the setting of fin or propeller
+    Wheels: their speed lags, beyond the lag that the reference shows by itself. Or it changes evenly, as where a driver
+    limits the acceleration: a change by the robot's largest speed takes twice the time constant, and loses as much way
+    as with that; a smaller one less, by its square. Thrust: the setting of fin or propeller
     lags, so that something between both commands holds for a while. A fin that is thrown from one mean angle to another
     pushes the vehicle as it goes, which the reference holds, and less the slower it goes: by own / (own + added).
 
@@ -20,10 +25,14 @@ class Config(Mechanism):
         time_constant_s: the added one.
         own_time_constant_s: with which the setting of thrust follows in the reference; None: so slowly that an added
             lag leaves what a sudden change brings about as it was.
+        follows: which of the two.
     """
 
     stage: ClassVar = "actuators"
-    words: ClassVar = "actuators follow with an additional time constant of {time_constant_s}"
+    words: ClassVar = (
+        "actuators follow {follows:with an additional time constant of/by an even acceleration, to full speed within "
+        "twice} {time_constant_s}"
+    )
     remedy: ClassVar = "check motors and gears for wear, or lower the controller's smoothing"
     parameters: ClassVar = {"time_constant_s": Parameter(0.0, 1.0, 0.0, "s", (0.1,))}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
@@ -32,6 +41,12 @@ class Config(Mechanism):
     name: Literal["actuator_lag"] = "actuator_lag"
     time_constant_s: float
     own_time_constant_s: float | None = None
+    follows: Literal["exponentially", "evenly"] = "exponentially"
+
+    @classmethod
+    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
+        """Return that of first order, and for wheels that of an even acceleration."""
+        return (Config, Config.with_default("follows", "evenly")) if robot.actuation.kind == "wheel" else (Config,)
 
     @classmethod
     def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
@@ -50,8 +65,8 @@ class Config(Mechanism):
         return {**added, "own_time_constant_s": own}
 
     def added_lag_s(self) -> float:
-        """Return the time constant."""
-        return self.time_constant_s
+        """Return the time constant, if it follows to first order."""
+        return self.time_constant_s if self.follows == "exponentially" else 0.0
 
     def share_of_transient(self) -> float:
         """Return by what the speed of a change of setting falls."""
@@ -59,9 +74,25 @@ class Config(Mechanism):
             return 1.0
         return self.own_time_constant_s / (self.own_time_constant_s + self.time_constant_s)
 
+    def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
+        """Return how fast each wheel rolls, mm a period, (N, 2), if it speeds up evenly."""
+        if self.follows == "exponentially" or self.time_constant_s <= 0:
+            return None
+        return wheel_travel(twist, moment.track_mm)
+
+    def actuator_response(self, twist: Tensor, memory: Tensor, share: float, moment: Moment) -> tuple[Tensor, Tensor]:
+        """Let wheels come to their speeds evenly."""
+        largest, period_s = moment.robot.largest_displacement.forward_mm, moment.robot.period_s
+        acceleration = largest / (2 * self.time_constant_s / period_s)  # mm a period, in a period
+        aimed = wheel_travel(twist, moment.track_mm)
+        takes = ((aimed - memory).abs() / acceleration).clamp(max=share)
+        reached = memory + (aimed - memory).sign() * acceleration * takes
+        rolled = reached - (reached - memory) / 2 * takes / share
+        return twist_of_wheels(rolled, twist, moment.track_mm), reached
+
     def breakpoints(self, robot: Robot) -> tuple[float, ...]:
-        """Look at thrust after each eighth of the change of its setting."""
+        """Look at thrust after each eighth of the change of its setting, at wheels in eighths of a period."""
         if robot.actuation.kind == "wheel":
-            return ()
+            return tuple(step / 8 for step in range(1, 8)) if self.follows == "evenly" else ()
         lag = self.time_constant_s / robot.period_s
         return (*(lag * math.log(8 / left) for left in range(7, 0, -1)), 5 * lag)

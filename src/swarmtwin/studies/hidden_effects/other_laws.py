@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import Arena, Robot
 from swarmtwin.standin.effect import Effect, Placement, Rng, change_thrust, wall_distance_mm
 from swarmtwin.studies.hidden_effects.effect_sizes import Draw, Sizes
@@ -134,23 +133,22 @@ class FourthOrderLens(OtherLaw):
         return 1.0 + self.coefficient * radius**4
 
 
-class OblongPixels(OtherLaw):
-    """The camera's scale is wrong, along x by half more than `error` and along y by half of it."""
+class DriftingScale(OtherLaw):
+    """The camera sinks slowly: its scale is right at first, and wrong by twice `error` at the session's end."""
 
     cause: ClassVar[str] = "camera_scale"
+    ages: ClassVar[bool] = True
 
     error: float
     x_mm: float
     y_mm: float
 
     def picture(self, pose: np.ndarray, progress: Any) -> np.ndarray:
-        """Stretch the picture around its middle, and markers with it."""
-        along_x, along_y = 1.0 + 1.5 * self.error, 1.0 + 0.5 * self.error
+        """Stretch positions around the picture's middle."""
+        factor = 1.0 + 2.0 * self.error * np.asarray(progress)
         seen = pose.copy()
-        seen[..., 0] = self.x_mm + along_x * (pose[..., 0] - self.x_mm)
-        seen[..., 1] = self.y_mm + along_y * (pose[..., 1] - self.y_mm)
-        turned = np.arctan2(along_y * np.sin(pose[..., 2]), along_x * np.cos(pose[..., 2]))
-        seen[..., 2] = pose[..., 2] + wrap_angle(turned - pose[..., 2])
+        seen[..., 0] = self.x_mm + factor * (pose[..., 0] - self.x_mm)
+        seen[..., 1] = self.y_mm + factor * (pose[..., 1] - self.y_mm)
         return seen
 
 
@@ -170,30 +168,40 @@ class InverseSquareInteraction(OtherLaw):
         return (push * away_x).sum(axis=0), (push * away_y).sum(axis=0)
 
 
-class SoftSaturation(OtherLaw):
-    """Large commands do gradually less than they should: limit · tanh(command / limit)."""
+class LeakySaturation(OtherLaw):
+    """Commands beyond a limit do less, but not nothing: four tenths of what is beyond it."""
 
     cause: ClassVar[str] = "saturation"
 
     limit: Positive
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
-        """Compress thrusts."""
-        return change_thrust(command, robot, lambda thrust: self.limit * np.tanh(thrust / self.limit))
+        """Weaken what of thrusts is beyond the limit."""
+
+        def weakened(thrust: np.ndarray) -> np.ndarray:
+            cut = np.clip(thrust, -self.limit, self.limit)
+            less: np.ndarray = cut + 0.4 * (thrust - cut)
+            return less
+
+        return change_thrust(command, robot, weakened)
 
 
-class OffsetDeadBand(OtherLaw):
-    """Small commands do nothing, and larger ones as much less as the band is wide, as friction takes it."""
+class GradualDeadBand(OtherLaw):
+    """Small commands do little, and ever more of what they should: half of it at the width, c (c/w)² / (1 + (c/w)²)."""
 
     cause: ClassVar[str] = "dead_band"
 
     width: Positive
 
     def transform_command(self, command: np.ndarray, robot: Robot) -> np.ndarray:
-        """Take the width from all thrusts."""
-        return change_thrust(
-            command, robot, lambda thrust: np.sign(thrust) * np.maximum(np.abs(thrust) - self.width, 0.0)
-        )
+        """Weaken small thrusts."""
+
+        def weakened(thrust: np.ndarray) -> np.ndarray:
+            squared = (thrust / self.width) ** 2
+            less: np.ndarray = thrust * squared / (1.0 + squared)
+            return less
+
+        return change_thrust(command, robot, weakened)
 
 
 class LimitedAcceleration(OtherLaw):
@@ -264,10 +272,10 @@ OTHER_LAWS: dict[str, type[OtherLaw]] = {
     "battery_knee": BatteryKnee,
     "changed_battery": ChangedBattery,
     "fourth_order_lens": FourthOrderLens,
-    "oblong_pixels": OblongPixels,
+    "drifting_scale": DriftingScale,
     "inverse_square_interaction": InverseSquareInteraction,
-    "soft_saturation": SoftSaturation,
-    "offset_dead_band": OffsetDeadBand,
+    "leaky_saturation": LeakySaturation,
+    "gradual_dead_band": GradualDeadBand,
     "limited_acceleration": LimitedAcceleration,
     "channel_current": ChannelCurrent,
     "late_readings": LateReadings,
@@ -283,10 +291,10 @@ OTHER_LAW_SIZES: dict[str, Sizes] = {
     "battery_knee": {"mgr": (0.01, 0.9), "mur": (0.01, 0.9)},
     "changed_battery": {"mgr": (0.01, 0.8), "mur": (0.01, 0.8)},
     "fourth_order_lens": {"mgr": (0.02, 0.6), "mur": (0.01, 0.6)},
-    "oblong_pixels": {"mgr": (0.004, 0.3), "mur": (0.003, 0.3)},
+    "drifting_scale": {"mgr": (0.004, 0.3), "mur": (0.003, 0.3)},
     "inverse_square_interaction": {"mgr": (1.0, 150.0), "mur": (2.0, 190.0)},
-    "soft_saturation": {"mgr": (0.15, 3.0), "mur": (0.15, 3.0)},
-    "offset_dead_band": {"mgr": (0.005, 0.5), "mur": (0.01, 0.7)},
+    "leaky_saturation": {"mgr": (0.02, 0.9), "mur": (0.04, 0.9)},
+    "gradual_dead_band": {"mgr": (0.01, 0.6), "mur": (0.02, 0.8)},
     "limited_acceleration": {"mgr": (0.3, 0.97)},
     "channel_current": {"mgr": (0.3, 40.0), "mur": (0.6, 60.0)},
     "late_readings": {"mgr": (0.004, 0.13), "mur": (0.005, 0.14)},
@@ -319,13 +327,13 @@ OTHER_LAW_PARAMETERS: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "battery_knee": lambda drawn: {"loss": drawn.size},
     "changed_battery": lambda drawn: {"loss": drawn.size},
     "fourth_order_lens": lambda drawn: {"coefficient": drawn.size * (drawn.sign() if drawn.size < 0.18 else 1.0)},
-    "oblong_pixels": lambda drawn: {"error": drawn.size * drawn.sign(), **_in_the_middle(drawn)},
+    "drifting_scale": lambda drawn: {"error": drawn.size * drawn.sign(), **_in_the_middle(drawn)},
     "inverse_square_interaction": lambda drawn: {
         "strength_mm_s": drawn.size * drawn.sign(),
         "reach_mm": drawn.side_mm * drawn.uniform(0.12, 0.3),
     },
-    "soft_saturation": lambda drawn: {"limit": drawn.full_thrust / drawn.size},
-    "offset_dead_band": lambda drawn: {"width": drawn.size * drawn.full_thrust},
+    "leaky_saturation": lambda drawn: {"limit": (1.0 - drawn.size) * drawn.full_thrust},
+    "gradual_dead_band": lambda drawn: {"width": drawn.size * drawn.full_thrust},
     "limited_acceleration": lambda drawn: {"step_mm_s": (1.0 - drawn.size) * drawn.top_speed_mm_s},
     "channel_current": lambda drawn: {
         "speed_mm_s": drawn.size,
