@@ -61,7 +61,9 @@ def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarr
     """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected."""
     session, narrow, wide = model.session, *(_where_held(model.session, width) for width in (0.1, 0.25))
     held = [_polynomials(session) * one[:, None] for one in (narrow, wide)]
-    smooth = np.column_stack([smooth_functions(session), _local_functions(session), *held])
+    smooth = np.column_stack(
+        [smooth_functions(session.transitions.robot, session.situation), _local_functions(session), *held]
+    )
     count = 3 * smooth.shape[1]
     columns = np.zeros((len(smooth), 3, count + 2 * len(mechanisms)))
     for axis in range(3):

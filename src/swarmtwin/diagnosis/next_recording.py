@@ -6,20 +6,22 @@ from typing import Self
 
 import numpy as np
 import torch
+from scipy.linalg import block_diag
 
 from swarmtwin.diagnosis.detection_limits import FoundLimit
-from swarmtwin.diagnosis.estimation import EstimatedSet
+from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import Noise
+from swarmtwin.diagnosis.random_effects import other_forms, smooth_functions
 from swarmtwin.diagnosis.result import NextRecording
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
-from swarmtwin.diagnosis.settings import NextRecordingSettings
+from swarmtwin.diagnosis.settings import LikelihoodSettings, NextRecordingSettings
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism
+from swarmtwin.simulation.mechanism import Mechanism, mechanism_class
 from swarmtwin.simulation.simulation import Simulation
 
 DRIVE_FILE = "next_drive.csv"
@@ -38,27 +40,48 @@ def next_recording(
         rivals = posterior.rivals(name, search.rival_from)
         if rivals:
             rival = next(one for one in posterior.sets if rivals[0] in one.names and name not in one.names)
-            return separating_drive(explained.model, explained.best, rival, seed)
+            return separating_drive(explained.model, explained.best, _in_all_forms(explained.model, rival), seed)
     return lowering_drive(explained.model, limits, seed) if explained.verdict == "no_gap" else (None, None)
 
 
+def _in_all_forms(model: SessionLikelihood, found: EstimatedSet) -> list[EstimatedSet]:
+    """Return a set of causes in each form that one of them may take: a drive may tell apart from some of them alone."""
+    forms = [found]
+    for mechanism in found.mechanisms:
+        others = [other for other in found.mechanisms if other is not mechanism]
+        for form in mechanism_class(mechanism.name).forms(model.robot):
+            if form.usual_form() != mechanism.form():
+                parameters = form.parameters_of(model.robot, model.session.conditions)
+                known = {name: value for name, value in mechanism.values().items() if name in parameters}
+                begun = {name: one.initial_values[0] for name, one in parameters.items()} | known
+                forms.append(estimate(model, [*others, form.at(begun)], polish=True))
+    return forms
+
+
 def separating_drive(
-    model: SessionLikelihood, found: EstimatedSet, rival: EstimatedSet, seed: int
+    model: SessionLikelihood, found: EstimatedSet, rivals: Sequence[EstimatedSet], seed: int
 ) -> tuple[NextRecording, np.ndarray]:
     """Return the drive, of several candidates, under which two explanations differ most, and its commands (P, m).
 
     Expected nats are half the squared difference of what both predict, in units of the reference's noise; whichever is
-    wrong may take other values as far as the session in hand allows.
+    wrong may take other values, and be of another form as far as mechanisms may: the drive is to say it by itself.
+
+    Args:
+        model: of the session in hand.
+        found: one explanation.
+        rivals: the other one, in all the forms that it may take: that is meant which differs least.
+        seed: of the candidates.
     """
     settings = model.settings.next_recording
     drives = _drives(model, seed)
-    nats = [min(drive.nats(found, rival), drive.nats(rival, found)) / len(drive.command) for drive in drives]
+    pairs = [pair for rival in rivals for pair in ((found, rival), (rival, found))]
+    forms = model.settings.likelihood
+    nats = [min(drive.nats(*pair, forms) for pair in pairs) / len(drive.command) for drive in drives]
     best = int(np.argmax(nats))
     nats_a_run = nats[best] * settings.steps
     wanted = np.ceil(settings.enough_nats / max(nats_a_run, 1e-3))
     runs = int(np.clip(wanted, settings.fewest_runs, settings.most_runs))
-    pairs = (found, rival), (rival, found)
-    names = tuple(next(name for name in these.names if name not in others.names) for these, others in pairs)
+    names = tuple(next(name for name in these.names if name not in others.names) for these, others in pairs[:2])
     plan = NextRecording(
         separates=names,
         drive=DRIVE_FILE,
@@ -150,10 +173,22 @@ class _Drive:
                 columns.append((self.ways([*mechanisms[:index], moved, *mechanisms[index + 1 :]]) - here) / step)
         return np.stack(columns, axis=-1) if columns else np.zeros((len(here), 0))
 
-    def nats(self, true: EstimatedSet, wrong: EstimatedSet) -> float:
-        """Return the nats by which the true of two sets is expected to win, the other one adjusting its values."""
+    def nats(self, true: EstimatedSet, wrong: EstimatedSet, settings: LikelihoodSettings) -> float:
+        """Return the nats by which the true of two sets is expected to win; the other adjusts its values and forms."""
         apart, slopes = self.ways(true.mechanisms) - self.ways(wrong.mechanisms), self.slopes(wrong.mechanisms)
-        return _left_apart(apart, slopes, wrong.information)
+        forms = self._forms(wrong.mechanisms, settings)
+        known = block_diag(1e-6 * np.diag((slopes**2).sum(axis=0)), np.eye(forms.shape[1]))
+        return _left_apart(apart, np.column_stack([slopes, forms]), known)
+
+    def _forms(self, mechanisms: Sequence[Mechanism], settings: LikelihoodSettings) -> np.ndarray:
+        """Return (3 P, q) by what other forms of mechanisms lead elsewhere, in units of the noise."""
+        robot, columns = self.predictor.base.robot, []
+        functions = smooth_functions(robot, self.predictor.situation)
+        for one in mechanisms:
+            others = [other for other in mechanisms if other is not one]
+            change = (self.ways(mechanisms) - self.ways(others)).reshape(-1, 3)
+            columns += [form.ravel() for form in other_forms(one, change, functions, robot, settings)]
+        return np.stack(columns, axis=-1) if columns else np.zeros((3 * len(self.command), 0))
 
     def rate(self, one: FoundLimit) -> float:
         """Return the nats a transition that a cause at its limit brings over what it would be taken for."""
@@ -187,7 +222,10 @@ def _record_command(robot: Robot, runs: int, steps: int) -> str:
 
 
 def _commands(robot: Robot, settings: NextRecordingSettings, rng: np.random.Generator) -> list[np.ndarray]:
-    """Return commands (P, m): at random, held, to and fro between the limits, likewise held for long, small ones."""
+    """Return commands (P, m): at random, held, to and fro between the limits, likewise held for long, small ones.
+
+    And runs at random in turn with runs to and fro.
+    """
     low, high, periods = robot.command_low, robot.command_high, settings.periods
     uniform = rng.uniform(low, high, (periods, len(low)))
     held = np.repeat(rng.uniform(low, high, (-(-periods // 4), len(low))), 4, axis=0)[:periods]
@@ -196,7 +234,8 @@ def _commands(robot: Robot, settings: NextRecordingSettings, rng: np.random.Gene
     long_held = np.repeat(seldom, 10, axis=0)[:periods]
     middle = np.clip(0.0, low, high)
     small = middle + settings.small_share * (uniform - middle)
-    return [np.round(command, 3) for command in (uniform, held, extremes, long_held, small)]
+    mixed = np.where(np.arange(periods)[:, None] // settings.steps % 2, uniform, extremes)
+    return [np.round(command, 3) for command in (uniform, held, extremes, long_held, small, mixed)]
 
 
 def _driven(

@@ -12,6 +12,9 @@ from torch import Tensor
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
+from swarmtwin.diagnosis.settings import LikelihoodSettings
+from swarmtwin.learning.situation import Situation
+from swarmtwin.robot import Robot
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.mechanism import Mechanism
 
@@ -115,9 +118,8 @@ def member_disagreement(model: SessionErrors, mechanisms: Sequence[Mechanism] = 
     return disagreement
 
 
-def smooth_functions(session: MeasuredSession) -> np.ndarray:
+def smooth_functions(robot: Robot, given: Situation) -> np.ndarray:
     """Return (N, q) polynomials of the commands now and before, of second degree, each of unit size."""
-    robot, given = session.transitions.robot, session.situation
     assert given.previous_command is not None
     low, high = robot.command_low, robot.command_high
     command, previous = (2 * (one.numpy() - low) / (high - low) - 1 for one in (given.command, given.previous_command))
@@ -249,21 +251,28 @@ def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Itera
 
     A dead band may rescale what is left or not, a battery's curve may bend otherwise: another form of the same cause
     is neither unexplained nor a second cause. Without command loss, of which only the likeliest course is looked at.
-    How actuators of thrust follow is known least: their forms differ by more, and to the side as well.
     """
-    settings, is_thrust = model.settings.likelihood, model.robot.actuation.kind == "thrust"
-    functions = smooth_functions(model.session)
+    functions = smooth_functions(model.robot, model.session.situation)
     now = model.errors(mechanisms)
     for one in mechanisms:
         others = [other for other in mechanisms if other is not one]
         change = now - model.errors(others)
-        if not change.any():
-            continue
-        is_rough = is_thrust and one.says_when
-        share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
-        for function in functions[:, 1:].T:
-            yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)
-        for axis in axes:
-            alone = np.zeros_like(change)
-            alone[:, axis] = change[:, axis]
-            yield share * alone
+        if change.any():
+            yield from other_forms(one, change, functions, model.robot, model.settings.likelihood)
+
+
+def other_forms(
+    mechanism: Mechanism, change: np.ndarray, functions: np.ndarray, robot: Robot, settings: LikelihoodSettings
+) -> Iterator[np.ndarray]:
+    """Yield (N, 3) by what another form of a mechanism may differ, which changes (N, 3) of motion, by functions (N, q).
+
+    How actuators of thrust follow is known least: their forms differ by more, and to the side as well.
+    """
+    is_rough = robot.actuation.kind == "thrust" and mechanism.says_when
+    share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
+    for function in functions[:, 1:].T:
+        yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)
+    for axis in axes:
+        alone = np.zeros_like(change)
+        alone[:, axis] = change[:, axis]
+        yield share * alone

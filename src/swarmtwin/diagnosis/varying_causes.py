@@ -36,7 +36,10 @@ def nats_by_variation(model: SessionLikelihood, fitted: FittedMechanisms) -> flo
     target = np.clip(left, -settings.clip_z, settings.clip_z).ravel()
     weight, fold = np.repeat(model.weight, 3), np.repeat(model.flexible.fold, 3)
     before, nats = float(log_density(left, freedom).sum()), []
-    for functions in (*model.flexible.modulations.values(), smooth_functions(model.session)[:, 1:]):
+    for functions in (
+        *model.flexible.modulations.values(),
+        smooth_functions(model.robot, model.session.situation)[:, 1:],
+    ):
         varied = np.concatenate([change[:, :, None] * functions[:, None, :] for change in changes], axis=2)
         columns = (model.filter(varied) / fitted.scale[:, None]).reshape(len(target), -1)
         (expected,) = CrossFittedRidge(columns, weight, fold, settings.ridges).answers(target)
