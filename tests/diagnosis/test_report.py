@@ -353,8 +353,6 @@ def test_what_weakens_is_told_of_what_it_acts_on(form, of):
         ("dead_band", "width", "PWM", {"larger": "less"}, "do nothing, and larger ones as much less"),
         ("saturation", "limit", "PWM", {}, "(0.15 to 0.25) are cut"),
         ("saturation", "limit", "PWM", {"sets_in": "gradually"}, "(0.15 to 0.25) should"),
-        ("camera_scale", "scale", "", {}, "(0.15 to 0.25) times as long as they are"),
-        ("camera_scale", "ratio", "", {"axes": "apart"}, "and along y 0.20 (0.15 to 0.25) times as long as along x"),
         ("actuator_lag", "time_constant_s", "s", {}, "with an additional time constant of 0.2"),
         ("actuator_lag", "time_constant_s", "s", {"follows": "evenly"}, "to full speed within twice 0.2"),
     ],

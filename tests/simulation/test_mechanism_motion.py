@@ -155,7 +155,6 @@ def test_drift_is_the_same_in_the_arena_whatever_the_heading(robots):
     [
         ("camera_scale", {"scale": 1.23}),
         ("camera_scale", {"scale": 0.7}),
-        ("camera_scale", {"scale": 0.9, "axes": "apart", "ratio": 1.3}),
         ("lens_distortion", {"coefficient": 0.1}),
         ("lens_distortion", {"coefficient": -0.08}),
         ("lens_distortion", {"coefficient": 0.4}),
@@ -172,19 +171,6 @@ def test_a_camera_is_undone_exactly(robots, robot, name, values):
     assert (measured - situation.pose).abs().max() > 0.1
     back = camera.from_measured(measured, conditions)
     torch.testing.assert_close(back, situation.pose, rtol=0, atol=LENS_MM if name == "lens_distortion" else 1e-9)
-
-
-def test_a_camera_of_two_scales_stretches_ways_and_headings(robots):
-    robot = robots["mgr"]
-    conditions = conditions_of(robot)
-    scale = mechanism_class("camera_scale").at({"scale": 1.2, "axes": "apart", "ratio": 1.44})
-    middle = conditions.centre_mm
-    true = torch.tensor([[100.0, 0.0, math.pi / 4 + 2 * math.pi], [0.0, 100.0, math.pi / 2]], dtype=torch.float64)
-    seen = scale.to_measured(true + torch.nn.functional.pad(middle, (0, 1)), conditions)
-    torch.testing.assert_close(seen[:, :2] - middle, torch.tensor([[100.0, 0.0], [0.0, 144.0]], dtype=torch.float64))
-    expected = torch.tensor([2 * math.pi + math.atan(1.44), math.pi / 2], dtype=torch.float64)
-    torch.testing.assert_close(seen[:, 2], expected)
-    torch.testing.assert_close(scale.from_measured(seen, conditions)[:, 2], true[:, 2])
 
 
 def test_wrong_millimetres_per_pixel_are_those_of_what_the_lens_has_bent(robots):

@@ -28,6 +28,7 @@ from swarmtwin.studies.hidden_effects.other_laws import (
     LimitedAcceleration,
     LinearWallEffect,
     LossInBursts,
+    OblongPixels,
     RectangularPatch,
     SoftPatch,
     WornRim,
@@ -81,8 +82,12 @@ def test_a_battery_falls_fast_at_last_or_is_changed():
     np.testing.assert_allclose(ChangedBattery(loss=0.5).strength(at)[0], [1, 0.75, 0.51, 1, 0.75])
 
 
-def test_a_lens_bends_the_edge_alone_and_a_scale_drifts():
+def test_a_lens_bends_the_edge_alone_pixels_are_longer_than_wide_and_a_scale_drifts():
     np.testing.assert_allclose(FourthOrderLens(coefficient=0.2).magnification(np.array([0, 0.5, 1])), [1, 1.0125, 1.2])
+    pixels = OblongPixels(error=0.1, x_mm=500.0, y_mm=500.0)
+    seen = pixels.picture(np.array([[600.0, 300.0, 0.0], [600.0, 300.0, math.pi / 4 + 4 * math.pi]]), 0.0)
+    np.testing.assert_allclose(seen[0], [615.0, 290.0, 0.0])
+    assert seen[1, 2] == pytest.approx(4 * math.pi + math.atan2(1.05, 1.15))
     sinking = DriftingScale(error=0.1, x_mm=500.0, y_mm=500.0)
     seen = sinking.picture(np.array([[600.0, 300.0, 1.0]] * 3), np.array([0.0, 0.5, 1.0]))
     np.testing.assert_allclose(seen, [[600, 300, 1], [610, 280, 1], [620, 260, 1]])

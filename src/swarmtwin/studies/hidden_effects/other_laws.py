@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
+from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import Arena, Robot
 from swarmtwin.standin.effect import Effect, Placement, Rng, change_thrust, wall_distance_mm
 from swarmtwin.studies.hidden_effects.effect_sizes import Draw, Sizes
@@ -131,6 +132,26 @@ class FourthOrderLens(OtherLaw):
     def magnification(self, radius: np.ndarray) -> np.ndarray:
         """Scale what is far from the centre more."""
         return 1.0 + self.coefficient * radius**4
+
+
+class OblongPixels(OtherLaw):
+    """The camera's scale is wrong, along x by half more than `error` and along y by half of it."""
+
+    cause: ClassVar[str] = "camera_scale"
+
+    error: float
+    x_mm: float
+    y_mm: float
+
+    def picture(self, pose: np.ndarray, progress: Any) -> np.ndarray:
+        """Stretch the picture around its middle, and markers with it."""
+        along_x, along_y = 1.0 + 1.5 * self.error, 1.0 + 0.5 * self.error
+        seen = pose.copy()
+        seen[..., 0] = self.x_mm + along_x * (pose[..., 0] - self.x_mm)
+        seen[..., 1] = self.y_mm + along_y * (pose[..., 1] - self.y_mm)
+        turned = np.arctan2(along_y * np.sin(pose[..., 2]), along_x * np.cos(pose[..., 2]))
+        seen[..., 2] = pose[..., 2] + wrap_angle(turned - pose[..., 2])
+        return seen
 
 
 class DriftingScale(OtherLaw):
@@ -272,6 +293,7 @@ OTHER_LAWS: dict[str, type[OtherLaw]] = {
     "battery_knee": BatteryKnee,
     "changed_battery": ChangedBattery,
     "fourth_order_lens": FourthOrderLens,
+    "oblong_pixels": OblongPixels,
     "drifting_scale": DriftingScale,
     "inverse_square_interaction": InverseSquareInteraction,
     "leaky_saturation": LeakySaturation,
@@ -291,6 +313,7 @@ OTHER_LAW_SIZES: dict[str, Sizes] = {
     "battery_knee": {"mgr": (0.01, 0.9), "mur": (0.01, 0.9)},
     "changed_battery": {"mgr": (0.01, 0.8), "mur": (0.01, 0.8)},
     "fourth_order_lens": {"mgr": (0.02, 0.6), "mur": (0.01, 0.6)},
+    "oblong_pixels": {"mgr": (0.004, 0.3), "mur": (0.003, 0.3)},
     "drifting_scale": {"mgr": (0.004, 0.3), "mur": (0.003, 0.3)},
     "inverse_square_interaction": {"mgr": (1.0, 150.0), "mur": (2.0, 190.0)},
     "leaky_saturation": {"mgr": (0.02, 0.9), "mur": (0.04, 0.9)},
@@ -327,6 +350,7 @@ OTHER_LAW_PARAMETERS: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "battery_knee": lambda drawn: {"loss": drawn.size},
     "changed_battery": lambda drawn: {"loss": drawn.size},
     "fourth_order_lens": lambda drawn: {"coefficient": drawn.size * (drawn.sign() if drawn.size < 0.18 else 1.0)},
+    "oblong_pixels": lambda drawn: {"error": drawn.size * drawn.sign(), **_in_the_middle(drawn)},
     "drifting_scale": lambda drawn: {"error": drawn.size * drawn.sign(), **_in_the_middle(drawn)},
     "inverse_square_interaction": lambda drawn: {
         "strength_mm_s": drawn.size * drawn.sign(),
