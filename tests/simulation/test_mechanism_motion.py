@@ -28,13 +28,18 @@ def test_a_delay_of_a_whole_period_is_the_motion_of_the_command_before(robots):
     torch.testing.assert_close(half, compose(*halves))
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
-def test_a_lag_is_the_integral_of_a_decaying_speed(robots, share):
-    robot = robots["mgr"]
+def after_holding(robot):
+    """Situations in which both wheels are sent a command of −100 to 100 after they have long held 60."""
     sent = torch.linspace(-100, 100, 9)[:, None].expand(9, 2)
     held = torch.full((9, 2), 60.0)
     changes = {"command": sent, "previous_command": held, "earlier_command": held}
-    situation = situation_of(robot, np.random.default_rng(3), count=9, **changes)
+    return situation_of(robot, np.random.default_rng(3), count=9, **changes)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.8])
+def test_a_lag_is_the_integral_of_a_decaying_speed(robots, share):
+    robot = robots["mgr"]
+    situation = after_holding(robot)
     lagging, simulated = moved(robot, "actuator_lag", situation, time_constant_s=share * robot.period_s)
     base = ExactDynamics(robot)
     old = base.twist(situation.previous_command)
@@ -47,10 +52,7 @@ def test_a_lag_is_the_integral_of_a_decaying_speed(robots, share):
 def test_wheels_that_speed_up_evenly_come_to_full_speed_in_twice_the_time_constant(robots, share):
     """A change that ends within the period loses its square over twice the acceleration."""
     robot = robots["mgr"]
-    sent = torch.linspace(-100, 100, 9)[:, None].expand(9, 2)
-    held = torch.full((9, 2), 60.0)
-    changes = {"command": sent, "previous_command": held, "earlier_command": held}
-    situation = situation_of(robot, np.random.default_rng(3), count=9, **changes)
+    situation = after_holding(robot)
     lag = {"time_constant_s": share * robot.period_s, "follows": "evenly"}
     lagging, simulated = (one[:, 0] for one in moved(robot, "actuator_lag", situation, **lag))
     old = ExactDynamics(robot).twist(situation.previous_command)[:, 0]

@@ -14,7 +14,7 @@ from pydantic import Field
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import Arena, Robot
 from swarmtwin.standin.effect import Effect, Placement, Rng, change_thrust, wall_distance_mm
-from swarmtwin.studies.hidden_effects.effect_sizes import Draw, Sizes
+from swarmtwin.studies.hidden_effects.effect_sizes import PARAMETERS, Draw, Sizes
 
 Share = Annotated[float, Field(gt=0, lt=1)]
 Positive = Annotated[float, Field(gt=0)]
@@ -352,10 +352,7 @@ OTHER_LAW_PARAMETERS: dict[str, Callable[[Draw], dict[str, Any]]] = {
     "fourth_order_lens": lambda drawn: {"coefficient": drawn.size * (drawn.sign() if drawn.size < 0.18 else 1.0)},
     "oblong_pixels": lambda drawn: {"error": drawn.size * drawn.sign(), **_in_the_middle(drawn)},
     "drifting_scale": lambda drawn: {"error": drawn.size * drawn.sign(), **_in_the_middle(drawn)},
-    "inverse_square_interaction": lambda drawn: {
-        "strength_mm_s": drawn.size * drawn.sign(),
-        "reach_mm": drawn.side_mm * drawn.uniform(0.12, 0.3),
-    },
+    "inverse_square_interaction": PARAMETERS["neighbour_interaction"],
     "leaky_saturation": lambda drawn: {"limit": (1.0 - drawn.size) * drawn.full_thrust},
     "gradual_dead_band": lambda drawn: {"width": drawn.size * drawn.full_thrust},
     "limited_acceleration": lambda drawn: {"step_mm_s": (1.0 - drawn.size) * drawn.top_speed_mm_s},
