@@ -241,12 +241,13 @@ def _save(folder: Path, results: list[Result], summary: dict[str, Any]) -> None:
     write_text(folder / "metrics.json", json.dumps(summary, indent=1, default=Proportion.model_dump) + "\n")
     figures: dict[str, Figure] = {}
     if (table.kind != "clean").any():
-        figures = {
-            "confusion": confusion_figure(table),
-            "detection": detection_figure(table),
-            "parameters": parameters_figure(parameters),
-            "calibration": calibration_figure(confidences_table(results)),
-        }
+        figures["confusion"] = confusion_figure(table)
+    if (table.kind == "one").any():
+        figures["detection"] = detection_figure(table)
+    if len(parameters):
+        figures["parameters"] = parameters_figure(parameters)
+    if (table.kind != "clean").any():
+        figures["calibration"] = calibration_figure(confidences_table(results))
     if (table.kind == "clean").any():
         figures["clean"] = clean_figure(table)
     for name, figure in figures.items():

@@ -43,7 +43,7 @@ def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
             "it and nothing else named",
             "alone the likeliest",
             "another named",
-            "part unexplained",
+            "not said to be explained",
         ),
         [
             [name, OTHER_LAWS[name].cause, *(_few(share) for share in own.values())]
@@ -142,6 +142,8 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         ("  all of them, also smaller ones", "", lambda own: _told(own["misspecified"]["exact"])),
         ("  alone the likeliest, named or not", "", lambda own: _told(own["misspecified"]["likeliest_true"])),
         ("  a cause named that is not there", "", lambda own: _told(own["misspecified"]["falsely_named"])),
+        ("  gain, of what it had brought: median", "", lambda own: _percent(own["misspecified"]["gain"]["diagnosis"])),
+        ("  likewise, beside the same runs", "", lambda own: _percent(own["misspecified"]["gain"]["beside_twin"])),
         ("in no catalogue: no cause named", "≥ 98 %", lambda own: _told(own["outside"]["not_named"])),
         ("  of these, where an alarm was raised", "", lambda own: _told(own["outside"]["not_named_of_alarmed"])),
         ("  alarm where the error is up by ≥ 10 %", "≥ 95 %", lambda own: _told(own["outside"]["costly_found"])),
