@@ -30,13 +30,14 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
         return planted.model_copy(update={"case": case})
 
     monkeypatch.setattr(f"{STUDY}.score_case", examined)
-    assert swarmtwin(*EXPERIMENT, "output=study").status == 130
+    study = (*EXPERIMENT, "kinds=[one,two,clean]", "count.quick.one=2", "output=study")
+    assert swarmtwin(*study).status == 130
     assert not (workshop / "study").exists()
     first = list(asked)
     asked.append("again")
-    answer = swarmtwin(*EXPERIMENT, "output=study")
+    answer = swarmtwin(*study)
     assert answer.status == 0, answer.error
-    cases = 2 * (2 + 4)
+    cases = 2 * (2 + 2 + 4)
     assert len(asked) == cases + 1
     assert len(set(asked)) == cases + 1
     assert first == asked[:7]
@@ -48,7 +49,7 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
     assert metrics["families"]["unruly"]["two"]["exact"] == Proportion.of([True] * 2).model_dump()
     assert metrics["families"]["formulas"]["clean"]["accused"]["count"] == 0
     pictures = {path.stem for path in folder.glob("*.png")}
-    assert pictures == {"confusion", "calibration", "clean"}  # none of single effects, or of parameters
+    assert pictures == {"confusion", "detection", "calibration", "clean"}  # none of parameters, of which none is said
     for name in (*(f"{name}.png" for name in pictures), "parameters.csv", "report.md"):
         assert (folder / name).stat().st_size > 0
     assert "two causes: both and nothing else" in answer.shown
