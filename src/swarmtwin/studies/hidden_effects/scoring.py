@@ -139,7 +139,7 @@ def _times_limit(
     family: Family,
 ) -> float | None:
     limit = next((one for one in limits if one.cause == name), None)
-    if limit and name == "steady_drift" and true:
+    if limit and "speed_mm_s" in true:
         return abs(true["speed_mm_s"] / limit.value) if limit.value else 0.0
     if limit is None or limit.parameter not in true or is_another_unit(family, robot.name, name, limit.parameter):
         return None
