@@ -82,8 +82,9 @@ def _expected(
 
     Each draw moves with its own noise. Draws come in pairs, one with the noise and one with its opposite, so that only
     what does not cancel is left: the little that noise changes of the mean.
-    A lost command is averaged over exactly, by moving both ways. The camera's error of the heading at the start turns
-    the measured displacement to and fro, which shortens its mean by exp(−σ²/2).
+    A lost command is averaged over exactly, by moving both ways: each is as probable whatever was lost before, also
+    where losses come in bursts. The camera's error of the heading at the start turns the measured displacement to and
+    fro, which shortens its mean by exp(−σ²/2).
     """
     conditions = physics.conditions
     loss = conditions.loss_probability
