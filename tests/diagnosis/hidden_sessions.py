@@ -12,7 +12,8 @@ from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.clean_sessions import blurred, clean_session
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation
-from swarmtwin.studies.hidden_effects.sessions import made_effects, sized_effect
+from swarmtwin.studies.hidden_effects.hideable_effects import made_effects
+from swarmtwin.studies.hidden_effects.sessions import sized_effect
 from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import Transitions, from_recording
 

@@ -11,10 +11,12 @@ from scipy import stats
 from simulated_session import simulated_noise, simulated_session
 
 from exact_model import conditions_of
+from swarmtwin.configuration import config_folder
 from swarmtwin.diagnosis.cause_report import reported_parameters
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.settings import DiagnosisSettings
+from swarmtwin.robot import Robot
 from swarmtwin.simulation.mechanism import mechanism_class, offered
 
 SESSIONS = 40
@@ -56,6 +58,14 @@ def drawn_values(kind, robot, rng):
     return values
 
 
+def every_form():
+    """Robot, mechanism and number of each form that it may take on this robot."""
+    for name in ESTIMATED:
+        for robot in ("mgr", "mur"):
+            body = Robot.load(config_folder() / "robot" / f"{robot}.yaml")
+            yield from ((robot, name, form) for form in range(len(mechanism_class(name).forms(body))))
+
+
 def standing(kind, robot, seed):
     """Of each parameter of a mechanism of drawn values, where the truth lies in its interval: −1 to 1 is within."""
     rng = np.random.default_rng([seed, 20261127])
@@ -74,11 +84,10 @@ def standing(kind, robot, seed):
 
 
 @pytest.mark.claims
-@pytest.mark.parametrize("robot", ["mgr", "mur"])
-@pytest.mark.parametrize("name", ESTIMATED)
-def test_intervals_hold_the_truth_as_often_as_they_say(robots, robot, name):
+@pytest.mark.parametrize(("robot", "name", "form"), list(every_form()))
+def test_intervals_hold_the_truth_as_often_as_they_say(robots, robot, name, form):
     """Fewer than the binomial distribution's point of 1 in 1,000 refute 95 %."""
-    kind = mechanism_class(name).forms(robots[robot])[0]
+    kind = mechanism_class(name).forms(robots[robot])[form]
     by_session = [standing(kind, robots[robot], seed) for seed in range(SESSIONS)]
     for parameter in by_session[0]:
         places = np.array([one[parameter] for one in by_session])

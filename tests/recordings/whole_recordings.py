@@ -16,7 +16,8 @@ from swarmtwin.standin.drive_commands import Operator
 from swarmtwin.standin.session import StandInSession
 from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
-from swarmtwin.studies.hidden_effects.sessions import made_effects, sized_entry
+from swarmtwin.studies.hidden_effects.hideable_effects import made_effects
+from swarmtwin.studies.hidden_effects.sessions import sized_entry
 from swarmtwin.studies.stand_in_recording import record
 
 SEED = 20261122

@@ -10,16 +10,14 @@ from pydantic import Field
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.robot import Positive, Seed, StrictModel
-from swarmtwin.standin.effects import catalogue
 from swarmtwin.studies.hidden_effects.clean_sessions import VARIETIES
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, Sizes
-from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAW_SIZES, OTHER_LAWS
-from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS
+from swarmtwin.studies.hidden_effects.hideable_effects import SIZES, effect_class
+from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAWS
 from swarmtwin.studies.stand_in_families import Family, driver_of, has_effect, has_robot
 
 Kind = Literal["one", "two", "three", "misspecified", "outside", "clean"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-_SINGLE: Mapping[Kind, Mapping[str, Sizes]] = {"one": CATALOGUE, "misspecified": OTHER_LAW_SIZES, "outside": OUTSIDE}
 Count = Annotated[int, Field(ge=1)]
 Rises = tuple[Positive, Positive]
 
@@ -119,7 +117,7 @@ def cases(
         names: tuple[str, ...] = ()
         variety = word
         low, high = rises_percent
-        if kind in _SINGLE:
+        if kind in SIZES:
             names, variety = (word,), ""
         elif kind in ("two", "three"):
             names, variety, low = _several(family, robot, 2 if kind == "two" else 3, rng), "", least_of_several_percent
@@ -143,7 +141,7 @@ def _turns(family: Family, kind: Kind, robots: Sequence[str]) -> list[tuple[str,
     robots = [robot for robot in robots if has_robot(family, robot)]
     if not robots:
         raise UserError(f"family {family!r} has none of these robots: leave it out, or give robots=[mgr]")
-    if effects := _SINGLE.get(kind):
+    if effects := SIZES.get(kind):
         known = {robot: _known(family, robot, effects) for robot in robots}
         return [(robot, name) for name in effects for robot in robots if name in known[robot]]
     if kind == "clean":
@@ -153,8 +151,8 @@ def _turns(family: Family, kind: Kind, robots: Sequence[str]) -> list[tuple[str,
 
 def _known(family: Family, robot: str, effects: Mapping[str, Sizes]) -> list[str]:
     """Return the effects that a robot of a family can have."""
-    made = {**catalogue(), **OTHER_LAWS, **OUTSIDE_EFFECTS}
-    return [name for name, sizes in effects.items() if robot in sizes and has_effect(family, robot, name, made[name])]
+    possible = [name for name, sizes in effects.items() if robot in sizes]
+    return [name for name in possible if has_effect(family, robot, name, effect_class(name))]
 
 
 def _several(family: Family, robot: str, together: int, rng: np.random.Generator) -> tuple[str, ...]:

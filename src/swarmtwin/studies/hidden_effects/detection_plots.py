@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
+from swarmtwin.studies.hidden_effects.hideable_effects import SIZES
 from swarmtwin.studies.hidden_effects.metrics import Proportion
-from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAWS
-from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 
 
 def confusion(results: pd.DataFrame) -> pd.DataFrame:
@@ -28,7 +27,8 @@ def confusion(results: pd.DataFrame) -> pd.DataFrame:
     named = first.where(first != "", silent.fillna("failed"))
     others = sorted(set(first) - {"", *CATALOGUE})
     failed = ["failed"] if (named == "failed").any() else []
-    rows = [name for name in (*CATALOGUE, *OTHER_LAWS, *OUTSIDE, "nothing wrong") if name in set(hidden)]
+    effects = [name for own in SIZES.values() for name in own]
+    rows = [name for name in (*effects, "nothing wrong") if name in set(hidden)]
     columns = [*CATALOGUE, *others, "no name", "nothing wrong", *failed]
     return pd.crosstab(hidden, named).reindex(index=rows, columns=columns, fill_value=0)
 
@@ -47,7 +47,7 @@ def confusion_figure(results: pd.DataFrame) -> Figure:
             axes.text(column, row, text, ha="center", va="center", fontsize=7, color=colour)
         axes.set_xticks(range(len(counts.columns)), list(counts.columns), rotation=60, ha="right")
         axes.set_yticks(range(len(counts)), list(counts.index))
-        groups = np.cumsum([sum(name in names for name in counts.index) for names in (CATALOGUE, OTHER_LAWS, OUTSIDE)])
+        groups = np.cumsum([sum(name in own for name in counts.index) for own in SIZES.values()])
         for below in set(groups.tolist()) - {0, len(counts)}:
             axes.axhline(below - 0.5, color=MEASURED, linewidth=0.8)
         axes.axvline(list(counts.columns).index("no name") - 0.5, color=MEASURED, linewidth=0.8)

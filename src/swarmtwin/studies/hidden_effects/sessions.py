@@ -14,15 +14,13 @@ from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.standin.active_effects import ActiveEffects
 from swarmtwin.standin.effect import Effect
-from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.exact_means import mean_given_state
 from swarmtwin.standin.session import DrivenSession, StandInSession
 from swarmtwin.studies.hidden_effects.cases import Case
 from swarmtwin.studies.hidden_effects.clean_sessions import CleanSession, blurred, clean_session
-from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE, PARAMETERS, Draw
+from swarmtwin.studies.hidden_effects.effect_sizes import Draw
 from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, rise_percent, size_that_raises
-from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAW_PARAMETERS, OTHER_LAW_SIZES, OTHER_LAWS
-from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE, OUTSIDE_EFFECTS, OUTSIDE_PARAMETERS
+from swarmtwin.studies.hidden_effects.hideable_effects import drawn_parameters, made_effects, sizes_of
 from swarmtwin.studies.stand_in_families import Family, driver_of, session_options
 from swarmtwin.studies.stand_in_recording import record
 from swarmtwin.transitions import Transitions, from_recording
@@ -149,18 +147,6 @@ def reference_session(case: Case, robot: Robot) -> StandInSession:
     return _usual(case, robot, (unit,), case.reference_runs, seed)
 
 
-def made_effects(entries: tuple[dict[str, Any], ...], session: StandInSession) -> tuple[Effect, ...]:
-    """Make effects, of the catalogue or outside it, of their names and parameters."""
-    made: list[Effect] = []
-    for entry in entries:
-        if entry["name"] in CATALOGUE:
-            made += parse_effects([entry], session.robot, len(session.vehicles))
-        else:
-            own = {key: value for key, value in entry.items() if key != "name"}
-            made.append({**OTHER_LAWS, **OUTSIDE_EFFECTS}[entry["name"]].parse(own, entry["name"]))
-    return tuple(made)
-
-
 def _usual(case: Case, robot: Robot, vehicles: tuple[str, ...], runs: int, seed: int) -> StandInSession:
     options = session_options(case.family)
     return StandInSession(robot, vehicles, runs, case.steps, seed, lost_poses=0.001, **options)
@@ -233,7 +219,7 @@ def sized_effect(
             return math.inf
         return rise_percent(simulation.error(transitions), usual)
 
-    low, high = {**CATALOGUE, **OTHER_LAW_SIZES, **OUTSIDE}[name][case.robot]
+    low, high = sizes_of(name, case.robot)
     sizes = low, max(low, largest * high)
     return sized_entry(name, size_that_raises(wanted_percent, sizes, rise), case, session)
 
@@ -241,7 +227,7 @@ def sized_effect(
 def sized_entry(name: str, size: float, case: Case, session: StandInSession) -> dict[str, Any]:
     """Return an effect of some size as `record` takes it; what else is left to chance is the same for every size."""
     drawn = Draw(size, session.robot, session.run_length_s, session.length_s, case.rng(f"effect {name}"))
-    parameters = {**PARAMETERS, **OTHER_LAW_PARAMETERS, **OUTSIDE_PARAMETERS}[name](drawn)
+    parameters = drawn_parameters(name, drawn)
     rounded = {key: round(one, 5) if isinstance(one, float) else one for key, one in parameters.items()}
     return {"name": name, **rounded}
 
