@@ -133,7 +133,9 @@ def parameters_figure(parameters: pd.DataFrame) -> Figure:
                 axes.plot(errors[chosen], np.full(chosen.sum(), row), "o", markersize=3, alpha=0.6, color=colour)
             axes.plot(errors.median(), row, "|", markersize=12, color=MEASURED)
         axes.axvline(2.0, color=MEASURED, linewidth=0.8, linestyle=":")
-        axes.set(xscale="log", xlabel="error, % of what the parameter changes\n(bar: median; red: outside its interval)")
+        axes.set(
+            xscale="log", xlabel="error, % of what the parameter changes\n(bar: median; red: outside its interval)"
+        )
         axes.set_yticks(range(len(groups)), [str(name) for name, _ in groups])
     return figure
 
