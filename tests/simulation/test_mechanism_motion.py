@@ -569,6 +569,17 @@ def test_how_long_periods_last_is_read_though_those_that_last_too_long_are_not_s
         assert jitter.read_from_clock(np.full(100, robot.period_s), robot) is None
 
 
+def test_a_period_that_lasts_as_long_as_is_seen_but_for_rounding_is_no_longer_one(robots):
+    jitter = mechanism_class("timing_jitter")
+    for robot in (robots["mgr"], robots["mur"]):
+        lasted_s = robot.period_s * np.random.default_rng(23).normal(1.0, 0.14, (500, 40))
+        time_s = np.round(np.cumsum(lasted_s, axis=1), 3)
+        duration_s = np.diff(time_s).ravel()
+        seen = duration_s[duration_s <= robot.longest_gap_s + 1e-6]
+        assert robot.longest_gap_s < seen.max() < robot.longest_gap_s + 1e-6
+        assert jitter.read_from_clock(seen, robot) == pytest.approx({"spread": 0.14, "mean": 1.0}, rel=0.03)
+
+
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
 def test_periods_of_two_lengths_are_read_as_periods_that_may_be(robots, share):
     """Most last nearly too long: no normal distribution that was cut off there is likelier than any other."""

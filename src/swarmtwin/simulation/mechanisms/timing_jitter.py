@@ -9,6 +9,7 @@ import torch
 from scipy import optimize, stats
 from torch import Tensor
 
+from swarmtwin.recordings.rows import at_most
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
@@ -41,7 +42,8 @@ class Config(Mechanism):
         if math.sqrt(((lasted - 1) ** 2).mean()) <= 0.003:
             return None
         mean, variance = float(lasted.mean()), float(lasted.var())
-        if mean + 5 * math.sqrt(variance) < longest or lasted.max() > longest:  # none is left out
+        all_seen = mean + 5 * math.sqrt(variance) < longest or not at_most(duration_s.max(), robot.longest_gap_s)
+        if all_seen:
             return {"spread": math.sqrt(variance), "mean": mean}
 
         def loss(values: np.ndarray) -> float:
