@@ -114,7 +114,7 @@ end-to-end: setup
 
 claims: setup
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/pytest -n 2 --dist worksteal -m claims tests
+	$(BIN)/pytest -n 2 --dist worksteal -rs -m claims tests
 	$(BIN)/pytest -n 2 --nbmake notebooks
 
 services: .venv/services  # a study on a Ray cluster, models and recordings in a bucket: both are started here
