@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from case_results import result
-from swarmtwin.studies.hidden_effects.metrics import Proportion
+from swarmtwin.studies.hidden_effects.proportions import Proportion
 from swarmtwin.studies.hidden_effects.results import TrueModelAnswer
 
 STUDY = "swarmtwin.studies.hidden_effects.study"
@@ -81,24 +81,28 @@ def test_what_other_machines_have_judged_is_taken_over(swarmtwin, workshop, monk
     assert "judged=elsewhere.jsonl: no such file" in refused.error
 
 
-def test_the_first_sessions_of_each_kind_are_judged_with_the_true_model(swarmtwin, workshop, monkeypatch):
+def test_the_first_sessions_of_each_kind_are_judged_by_other_methods_as_well(swarmtwin, workshop, monkeypatch):
     asked = {}
 
     def examined(case, with_baselines, with_true_model):
-        asked[case.key] = with_true_model
+        asked[case.key] = (with_baselines, with_true_model)
         answer = TrueModelAnswer(method="oracle", causes={name: {} for name in case.true_names}, seconds=60.0)
         planted = result(case.kind, case.about, robot=case.robot, true_model=answer if with_true_model else None)
         return planted.model_copy(update={"case": case})
 
     monkeypatch.setattr(f"{STUDY}.score_case", examined)
-    answer = swarmtwin(*EXPERIMENT, "true_model.quick=0.5", "output=study")
+    answer = swarmtwin(*EXPERIMENT, "baselines.quick=0.25", "true_model.quick=0.5", "output=study")
     assert answer.status == 0, answer.error
-    drawn = list(asked.values())
-    assert drawn == [True, False, True, True, False, False] * 2
+    baselines, true_model = zip(*asked.values(), strict=True)
+    assert baselines == (True, False, True, False, False, False) * 2
+    assert true_model == (True, False, True, True, False, False) * 2
     assert "With the true model in hand, on the same sessions" in answer.shown
     report = (workshop / "study" / "report.md").read_text()
-    assert "| formulas: oracle | 3 | – | – | – | 1 of 1 | – | – | 0 of 2 | – | 60.0, 60.0 | 0 of 3 |" in report
-    assert "| formulas: diagnosis | 3 | – | – | – | 0 of 1 | – | – | 0 of 2 | – | 5.0, 5.0 | 0 of 3 |" in report
+    assert "| formulas: oracle | 3 | – | – | – | – | 1 of 1 | – | – | 0 of 2 | – | – | 60.0, 60.0 | 0 of 3 |" in report
+    assert (
+        "| formulas: diagnosis | 3 | – | – | – | – | 0 of 1 | – | – | 0 of 2 | – | 25.0 % | 5.0, 5.0 | 0 of 3 |"
+        in report
+    )
 
 
 def test_a_rigid_body_without_its_toolbox_is_refused_with_what_to_install(swarmtwin, workshop, monkeypatch):

@@ -13,8 +13,9 @@ from exact_model import conditions_of
 from swarmtwin.diagnosis.result import DetectionLimit, Estimate
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
 from swarmtwin.studies.hidden_effects.held_out_gain import Displacements, HeldOutGain, held_out_gain
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, expected_calibration_error, summarise
+from swarmtwin.studies.hidden_effects.metrics import expected_calibration_error, summarise
 from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
+from swarmtwin.studies.hidden_effects.proportions import CLEAR, Proportion
 from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     TrueModelAnswer,
@@ -222,20 +223,31 @@ def test_other_methods_are_counted_on_the_same_cases():
     black_box = HeldOutGain(before_mm=4.0, after_mm=3.5, least_mm=2.5, share=0.4, share_to_floor=0.3)
     right = Baselines(fitted=("gain_change", "saturation"), rule="gain_change", black_box=black_box)
     wrong = Baselines(fitted=("saturation",), rule=None, black_box=black_box)
+    both = Baselines(fitted=("saturation", "gain_change"), rule="saturation", black_box=black_box)
     results = [
         result("one", "gain_change", ["gain_change"], baselines=right),
         result("one", "gain_change", ["gain_change"], baselines=wrong),
+        result("one", "gain_change", ["gain_change"]),  # not asked of the others
+        result("two", "gain_change+saturation", ["gain_change"], baselines=both),
+        result("outside", "whirl", baselines=wrong),
         result("clean", "plain", baselines=wrong),
     ]
     summary = summarise(results)
-    fitting, rules = summary["methods"]["parameter fitting"], summary["methods"]["correlation rules"]
-    assert (fitting["named_first"].count, fitting["exact"].count, fitting["accused"].count) == (1, 0, 1)
-    assert (rules["named_first"].count, rules["exact"].count, rules["accused"].count) == (1, 1, 0)
-    assert summary["methods"]["diagnosis"]["exact"].count == 2
+    methods = summary["methods"]["formulas"]
+    fitting, rules, diagnosis = (methods[name] for name in ("parameter fitting", "rules on correlations", "diagnosis"))
+    assert (fitting["first"].count, fitting["one"][CLEAR].count, fitting["accused"].count) == (1, 0, 1)
+    assert (rules["first"].count, rules["one"][CLEAR].count, rules["accused"].count) == (1, 1, 0)
+    assert (fitting["two"].count, rules["two"].count, diagnosis["two"].count) == (1, 0, 0)
+    assert (fitting["outside"].count, rules["outside"].count, diagnosis["outside"].count) == (0, 1, 1)
+    assert (diagnosis["one"][CLEAR].count, diagnosis["one"][CLEAR].total, diagnosis["cases"]) == (2, 2, 5)
+    assert (diagnosis["error_cut"], methods["black-box residual"]["error_cut"]) == pytest.approx((0.25, 0.125))
+    assert fitting["error_cut"] is None
     assert formulas(results)["gain"]["black_box"] == pytest.approx(0.4)
     assert formulas(results)["gain"]["diagnosis"] == pytest.approx(0.9)
     text = "\n".join(table.markdown() for table in study_tables(summary))
-    assert "| parameter fitting | 50.0% (1/2) | 0.0% (0/2) | 100.0% (1/1) | – |" in text
+    told = "| 5 | – | – | 0 of 2 | 1 of 2 | 1 of 1 | – | 0 of 1 | 1 of 1 | – | – | –, – | – |"
+    assert f"| formulas: parameter fitting {told}" in text
+    assert "| formulas: black-box residual | 5 | – | – | – | – | – | – | – | – | – | 12.5 % | –, – | – |" in text
 
 
 def test_what_the_true_model_says_is_counted_beside_the_diagnosis_on_the_same_cases_alone():
@@ -267,7 +279,8 @@ def test_what_the_true_model_says_is_counted_beside_the_diagnosis_on_the_same_ca
     sysid = compared["rigid_body"]["mujoco.sysid"]
     assert (sysid["failed"].count, sysid["one"][CLEAR].count, sysid["outside"].count) == (2, 0, 0)
     text = "\n".join(table.markdown() for table in study_tables(summarise(results)))
-    assert "| formulas: oracle | 4 | – | – | 1 of 2 | – | – | 1 of 1 | 1 of 1 | 6.0 % | 30.0, 30.0 | 0 of 4 |" in text
+    told = "| 4 | – | – | 1 of 2 | 2 of 2 | – | – | 1 of 1 | 1 of 1 | 6.0 % | – | 30.0, 30.0 | 0 of 4 |"
+    assert f"| formulas: oracle {told}" in text
     assert summarise(results[2:3])["true_model"] == {}
 
 

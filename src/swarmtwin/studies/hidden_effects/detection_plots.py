@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.studies.hidden_effects.effect_sizes import CATALOGUE
 from swarmtwin.studies.hidden_effects.hideable_effects import SIZES
-from swarmtwin.studies.hidden_effects.metrics import Proportion
+from swarmtwin.studies.hidden_effects.proportions import Proportion
 
 
 def confusion(results: pd.DataFrame) -> pd.DataFrame:

@@ -1,13 +1,21 @@
 """What is counted over cases: how often causes are found and rightly named, false alarms, parameters, gains."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
 
-from swarmtwin.robot import StrictModel
+from swarmtwin.studies.hidden_effects.method_comparison import DIAGNOSIS, OTHERS, compared
+from swarmtwin.studies.hidden_effects.proportions import (
+    CLEAR,
+    RISE_BINS,
+    Proportion,
+    Proportions,
+    in_rise_bin,
+    median,
+    median_and_most,
+)
 from swarmtwin.studies.hidden_effects.results import (
     Result,
     confidences_table,
@@ -15,12 +23,6 @@ from swarmtwin.studies.hidden_effects.results import (
     results_table,
     true_model_parameters_table,
 )
-from swarmtwin.world.rollout import Rate
-
-RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % or more": (10.0, float("inf"))}
-"""By how much an effect raises the one-step error, in percent: from the first figure to below the second."""
-
-MIDDLE, CLEAR = "3 to 10 %", "10 % or more"
 
 LIMIT_BINS = {
     "below half": (0.0, 0.5),
@@ -34,50 +36,6 @@ NAMING = ("exact", "found", "named_first", "listed", "falsely_named")
 OTHER_LAW = ("found", "exact", "likeliest_true", "falsely_named", "not_explained")
 SILENCE = ("found", "not_named", "not_explained")
 ALARMS = ("accused", "alarmed", "harmed")
-
-METHODS = {
-    "diagnosis": ("named", "named_first", "exact"),
-    "parameter fitting": ("fitting", "fitting_first", "fitting_exact"),
-    "correlation rules": ("rule", "rule_first", "rule_first"),
-}
-"""Of each method the columns that hold the causes it named, whether the first is true, and whether all are."""
-
-
-class Proportion(StrictModel):
-    """How often something happened, with Wilson's 95 % interval.
-
-    Attributes:
-        count: how often.
-        total: of how many cases.
-        share: null where there is no case.
-        low: lower end of the interval.
-        high: upper end.
-        at_most: upper 95 % bound by Clopper and Pearson, which is never too low (one-sided).
-    """
-
-    count: int
-    total: int
-    share: float | None
-    low: float
-    high: float
-    at_most: float
-
-    @classmethod
-    def of(cls, happened: Iterable[bool]) -> Self:
-        """Count in how many of the cases it happened."""
-        cases = [bool(case) for case in happened]
-        count, total = sum(cases), len(cases)
-        if not total:
-            return cls(count=0, total=0, share=None, low=0.0, high=1.0, at_most=1.0)
-        _, low, high = Rate.of(np.array(cases))
-        at_most = binomtest(count, total, alternative="less").proportion_ci(0.95, method="exact").high
-        return cls(count=count, total=total, share=count / total, low=low, high=high, at_most=float(at_most))
-
-    def __str__(self) -> str:
-        return "–" if self.share is None else f"{self.share:.1%} ({self.count}/{self.total})"
-
-
-Proportions = dict[str, Proportion]
 
 
 def summarise(results: Sequence[Result]) -> dict[str, Any]:
@@ -120,11 +78,9 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             above that of the exact mean, by the diagnosis and by a black-box residual. Where exact means are not known,
             `beside_twin`: of the error above that of the same session without the effects, which may err more.
         seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
-    Over all families: `cases`, `failed`, `misspecified_by_effect`, `outside_by_effect`, `clean_by_variety`, and of the
-    methods that name causes, on the same cases, `methods`: `named_first` and `exact` of single effects that raise the
-    error by 10 % or more, `accused` of clean sessions, and `outside`, those outside the catalogue to which no name was
-    given. `true_model`: of each family what is made of it with the true model in hand and, on the same cases, by the
-    diagnosis.
+    Over all families: `cases`, `failed`, `misspecified_by_effect`, `outside_by_effect`, `clean_by_variety`. Of each
+    family what several methods make of the same cases (see `method_comparison.compared`): `methods` beside the
+    diagnosis, and `true_model`, what is made of them with the true model in hand.
     """
     table = _judged(results_table(results))
     parameters, confidences = parameters_table(results), confidences_table(results)
@@ -140,7 +96,9 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         "misspecified_by_effect": _of_each(misspecified, "about", lambda own: _proportions(own, OTHER_LAW)),
         "outside_by_effect": _of_each(outside, "about", _silence),
         "clean_by_variety": _of_each(clean, "about", lambda own: _proportions(own, ALARMS)),
-        "methods": _methods(table),
+        "methods": _of_each(
+            table[table.with_baselines], "family", lambda own: compared(own, OTHERS, {DIAGNOSIS: parameters})
+        ),
         "true_model": _of_each(
             table[table.true_model_method != ""],
             "family",
@@ -175,13 +133,13 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "parameters": _of_each(parameters, parameters.cause + "." + parameters.name, _precision),
         "covered": Proportion.of(parameters.covered),
         "in_another_unit": int((~said.same_unit).sum()),
-        "median_parameter_error_percent": _median(parameters.error_percent),
+        "median_parameter_error_percent": median(parameters.error_percent),
         "named_causes": len(confidences),
         "calibration_error": expected_calibration_error(confidences.confidence, confidences.true),
         "gain": _gains(hiding[in_rise_bin(hiding, CLEAR)]),
-        "seconds": _median_and_most(table.seconds),
-        "learning_seconds": _median_and_most(table.learning_seconds),
-        "memory_mb": _median_and_most(table.memory_mb),
+        "seconds": median_and_most(table.seconds),
+        "learning_seconds": median_and_most(table.learning_seconds),
+        "memory_mb": median_and_most(table.memory_mb),
     }
 
 
@@ -194,7 +152,7 @@ def _mechanism(name: str, one: pd.DataFrame, parameters: pd.DataFrame) -> dict[s
     alone, own = one[one.about == name], parameters[parameters.cause == name]
     return {
         "exact": {bin_name: Proportion.of(alone.exact[in_rise_bin(alone, bin_name)]) for bin_name in RISE_BINS},
-        "median_error_percent": _median(own.error_percent),
+        "median_error_percent": median(own.error_percent),
         "covered": Proportion.of(own.covered),
     }
 
@@ -217,17 +175,6 @@ def _silence(table: pd.DataFrame) -> Proportions:
     costly = Proportion.of(table.found[in_rise_bin(table, CLEAR)])
     of_alarmed = Proportion.of(table.not_named[table.found.astype(bool)])
     return {**_proportions(table, SILENCE), "costly_found": costly, "not_named_of_alarmed": of_alarmed}
-
-
-def _median_and_most(values: pd.Series) -> dict[str, float | None]:
-    known = values.dropna().astype(float)
-    return {"median": _median(values), "most": float(known.max()) if len(known) else None}
-
-
-def in_rise_bin(table: pd.DataFrame, name: str) -> pd.Series:
-    """Say of each case whether the effect raised the error by as much as a bin says."""
-    low, high = RISE_BINS[name]
-    return table.rise_percent.between(low, high, inclusive="left")
 
 
 def _judged(table: pd.DataFrame) -> pd.DataFrame:
@@ -267,7 +214,7 @@ def _precision(parameters: pd.DataFrame) -> dict[str, Any]:
     errors = ("error", "error_percent")
     return {
         "count": len(parameters),
-        **{f"median_{error}": _median(parameters[error]) for error in errors},
+        **{f"median_{error}": median(parameters[error]) for error in errors},
         "covered": Proportion.of(parameters.covered),
         "unit": parameters.unit.iloc[0],
     }
@@ -276,29 +223,12 @@ def _precision(parameters: pd.DataFrame) -> dict[str, Any]:
 def _gains(table: pd.DataFrame) -> dict[str, Any]:
     return {
         "count": int(table.after_mm.notna().sum()),
-        "diagnosis": _median(table.share[table.least_mm.notna()]),
-        "beside_twin": _median(table.share[table.least_mm.isna()]),
-        "black_box": _median(table.black_box_share),
-        "diagnosis_to_floor": _median(table.share_to_floor),
-        "black_box_to_floor": _median(table.black_box_share_to_floor),
+        "diagnosis": median(table.share[table.least_mm.notna()]),
+        "beside_twin": median(table.share[table.least_mm.isna()]),
+        "black_box": median(table.black_box_share),
+        "diagnosis_to_floor": median(table.share_to_floor),
+        "black_box_to_floor": median(table.black_box_share_to_floor),
     }
-
-
-def _methods(table: pd.DataFrame) -> dict[str, Proportions]:
-    """Compare the methods that name causes; those beside the diagnosis on the cases that they worked on."""
-    methods = {}
-    for method, (named, first, exact) in METHODS.items():
-        cases = table if method == "diagnosis" else table[table.with_baselines]
-        clear = cases[(cases.kind == "one") & in_rise_bin(cases, CLEAR)]
-        outside = cases[cases.kind == "outside"]
-        if len(cases):
-            methods[method] = {
-                "named_first": Proportion.of(clear[first]),
-                "exact": Proportion.of(clear[exact]),
-                "accused": Proportion.of(cases[named][cases.kind == "clean"] != ""),
-                "outside": Proportion.of((outside[named] == "") & (outside.verdict != "failed")),
-            }
-    return methods
 
 
 def _beside_true_model(
@@ -306,33 +236,4 @@ def _beside_true_model(
 ) -> dict[str, dict[str, Any]]:
     """Compare the diagnosis with what has the true model, on one family's cases that both worked on."""
     method = str(table.true_model_method.iloc[0])
-    ways = {"diagnosis": ("", said), method: ("true_model", said_by_true_model)}
-    compared: dict[str, dict[str, Any]] = {}
-    for name, (way, parameters) in ways.items():
-        is_own = parameters.seed.isin(table.seed) & (parameters.family == table.family.iloc[0])
-        own = pd.DataFrame(
-            {
-                "kind": table.kind,
-                "rise_percent": table.rise_percent,
-                "exact": table[f"{way}_exact" if way else "exact"].astype(bool),
-                "named": table[way or "named"] != "",
-                "failed": table[f"{way}_failure" if way else "failure"].notna(),
-            }
-        )
-        one, outside, clean = (own[own.kind == kind] for kind in ("one", "outside", "clean"))
-        compared[name] = {
-            "cases": len(own),
-            "one": {bin_name: Proportion.of(one.exact[in_rise_bin(one, bin_name)]) for bin_name in RISE_BINS},
-            **{kind: Proportion.of(own.exact[own.kind == kind]) for kind in ("two", "three")},
-            "outside": Proportion.of(~outside.named & ~outside.failed),
-            "accused": Proportion.of(clean.named),
-            "failed": Proportion.of(own.failed),
-            "median_parameter_error_percent": _median(parameters.error_percent[is_own & parameters.same_unit]),
-            "seconds": _median_and_most(table[f"{way}_seconds" if way else "seconds"]),
-        }
-    return compared
-
-
-def _median(values: pd.Series) -> float | None:
-    known = values.dropna().astype(float)
-    return float(known.median()) if len(known) else None
+    return compared(table, (DIAGNOSIS, method), {DIAGNOSIS: said, method: said_by_true_model})

@@ -128,7 +128,8 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         falsely_named: a cause is named that is not there.
         likeliest: the causes that are the likeliest together; likeliest_true: they are the true ones and no others.
         fitting_first, fitting_exact, rule_first: likewise of the other methods.
-        true_model, true_model_exact, true_model_seconds: likewise of what has the true model: `true_model_method`.
+        true_model, true_model_first, true_model_exact, true_model_seconds: likewise of what has the true model, which
+            is said in `true_model_method`.
     """
     return pd.DataFrame([_row(result) for result in results])
 
@@ -162,7 +163,7 @@ def _row(result: Result) -> dict[str, Any]:
         "with_baselines": others is not None,
         "fitting": "+".join(fitted),
         "fitting_first": fitted[:1] == true,
-        "fitting_exact": fitted == true,
+        "fitting_exact": sorted(fitted) == sorted(true),
         "rule": "+".join(rule),
         "rule_first": rule == true,
         **{f"black_box_{name}": getattr(black_box, name, None) for name in ("after_mm", "share", "share_to_floor")},
@@ -182,10 +183,12 @@ def _row_of_true_model(result: Result) -> dict[str, Any]:
     answer = result.true_model
     if answer is None:
         return {"true_model_method": ""}
+    named, true = tuple(answer.causes), result.case.true_names
     return {
         "true_model_method": answer.method,
-        "true_model": "+".join(answer.causes),
-        "true_model_exact": answer.failure is None and sorted(answer.causes) == sorted(result.case.true_names),
+        "true_model": "+".join(named),
+        "true_model_first": bool(set(named[:1]) & set(true)),
+        "true_model_exact": answer.failure is None and sorted(named) == sorted(true),
         "true_model_parameters": json.dumps(answer.causes),
         "true_model_seconds": answer.seconds,
         "true_model_failure": answer.failure,

@@ -36,7 +36,8 @@ from swarmtwin.studies.hidden_effects.detection_plots import (
     detection_figure,
     parameters_figure,
 )
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, Proportion, summarise
+from swarmtwin.studies.hidden_effects.metrics import summarise
+from swarmtwin.studies.hidden_effects.proportions import CLEAR, Proportion
 from swarmtwin.studies.hidden_effects.results import (
     Result,
     append_result,
@@ -74,7 +75,7 @@ class Scales(StrictModel):
 
 
 class Shares(StrictModel):
-    """On which share of the sessions of each kind in each family, the first ones, the true model works as well."""
+    """On which share of the sessions of each kind in each family, the first ones, other methods work as well."""
 
     quick: Annotated[float, Field(ge=0, le=1)]
     full: Annotated[float, Field(ge=0, le=1)]
@@ -98,7 +99,7 @@ class Options(StrictModel):
     kinds: Words
     robots: Words
     lengths: Lengths
-    baselines: bool
+    baselines: Shares
     true_model: Shares
     processes: Annotated[int, Field(ge=1)] | None
     cluster: str | None
@@ -127,11 +128,12 @@ class Options(StrictModel):
         Raises:
             UserError: as of `drawn_cases`, or the toolbox that the rigid body is compared with is missing.
         """
-        share, jobs = getattr(self.true_model, self.scale), []
+        shares = [getattr(shares, self.scale) for shares in (self.baselines, self.true_model)]
+        jobs = []
         for _, own in groupby(self.drawn_cases(), key=lambda case: (case.family, case.kind)):
             drawn = list(own)
-            first = math.ceil(share * len(drawn))
-            jobs += [ScoringJob(case, self.baselines, number < first) for number, case in enumerate(drawn)]
+            first = [math.ceil(share * len(drawn)) for share in shares]
+            jobs += [ScoringJob(case, *(number < count for count in first)) for number, case in enumerate(drawn)]
         if any(job.with_true_model and job.case.family == "rigid_body" for job in jobs):
             load_identification()
         return jobs

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from swarmtwin.studies.hidden_effects.metrics import CLEAR, MIDDLE, RISE_BINS, Proportion
 from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAWS
+from swarmtwin.studies.hidden_effects.proportions import CLEAR, MIDDLE, RISE_BINS, Proportion
 from swarmtwin.studies.study_table import StudyTable
 
 Families = dict[str, dict[str, Any]]
@@ -66,38 +66,37 @@ def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
             for name, own in summary["clean_by_variety"].items()
         ],
     )
-    if len(summary["methods"]) > 1:
-        yield StudyTable(
-            "Beside other methods (effects that raise the error by 10 % or more)",
-            ("method", "named first", "and no other", "clean accused", "outside: no name"),
-            [[name, *map(str, own.values())] for name, own in summary["methods"].items()],
-        )
-    if summary["true_model"]:
-        yield _true_model_table(summary)
+    for title, families in (
+        ("Beside other methods, on the same sessions", summary["methods"]),
+        ("With the true model in hand, on the same sessions", summary["true_model"]),
+    ):
+        yield _comparison_table(title, families)
 
 
-def _true_model_table(summary: dict[str, Any]) -> StudyTable:
-    """Return what the true model makes of the same sessions: how far a diagnosis could come."""
+def _comparison_table(title: str, families: Families) -> StudyTable:
+    """Return what methods make of the same sessions, those of each family by themselves."""
     return StudyTable(
-        "With the true model in hand, on the same sessions",
+        title,
         (
             "family: method",
             "sessions",
             *(f"one, {name}: exact" for name in RISE_BINS),
+            f"one, {CLEAR}: named first",
             *("two: exact", "three: exact", "outside: no name", "clean accused", "parameters: median error"),
-            *("seconds: median, most", "failed"),
+            *("error cut, 10 % or more: median", "seconds: median, most", "failed"),
         ),
         [
             [
                 f"{family}: {method}",
                 str(own["cases"]),
                 *(_few(share) for share in own["one"].values()),
-                *(_few(own[kind]) for kind in ("two", "three", "outside", "accused")),
+                *(_few(own[kind]) for kind in ("first", "two", "three", "outside", "accused")),
                 _percent(own["median_parameter_error_percent"], 1.0),
+                _percent(own["error_cut"]),
                 _both(own["seconds"], ".1f"),
                 _few(own["failed"]),
             ]
-            for family, methods in summary["true_model"].items()
+            for family, methods in families.items()
             for method, own in methods.items()
         ],
     )
