@@ -21,7 +21,7 @@ EXPERIMENT = (
 def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swarmtwin, workshop, monkeypatch):
     asked = []
 
-    def examined(case, with_baselines, with_true_model):
+    def examined(case, with_baselines, with_true_model, judged):
         if len(asked) == 7 and "again" not in asked:
             raise KeyboardInterrupt
         asked.append(case.key)
@@ -59,7 +59,7 @@ def test_the_command_goes_on_where_it_was_interrupted_and_writes_all_tables(swar
 def test_what_other_machines_have_judged_is_taken_over(swarmtwin, workshop, monkeypatch):
     asked = []
 
-    def examined(case, with_baselines, with_true_model):
+    def examined(case, with_baselines, with_true_model, judged):
         asked.append(case.kind)
         return result(case.kind, case.about, list(case.true_names), robot=case.robot).model_copy(update={"case": case})
 
@@ -84,7 +84,7 @@ def test_what_other_machines_have_judged_is_taken_over(swarmtwin, workshop, monk
 def test_the_first_sessions_of_each_kind_are_judged_by_other_methods_as_well(swarmtwin, workshop, monkeypatch):
     asked = {}
 
-    def examined(case, with_baselines, with_true_model):
+    def examined(case, with_baselines, with_true_model, judged):
         asked[case.key] = (with_baselines, with_true_model)
         answer = TrueModelAnswer(method="oracle", causes={name: {} for name in case.true_names}, seconds=60.0)
         planted = result(case.kind, case.about, robot=case.robot, true_model=answer if with_true_model else None)

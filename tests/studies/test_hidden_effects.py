@@ -20,11 +20,12 @@ from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     TrueModelAnswer,
     append_result,
+    filled,
     parameters_table,
     read_results,
     results_table,
 )
-from swarmtwin.studies.hidden_effects.scoring import times_limit
+from swarmtwin.studies.hidden_effects.scoring import score_case, times_limit
 from swarmtwin.studies.hidden_effects.study import ScoringJob
 from swarmtwin.studies.hidden_effects.tables import study_tables
 
@@ -292,6 +293,28 @@ def test_a_result_without_what_is_now_asked_for_is_not_taken_again():
     assert job.is_answered_by(without.model_copy(update={"true_model": answer}))
     assert ScoringJob(without.case, with_baselines=False, with_true_model=False).is_answered_by(without)
     assert not ScoringJob(without.case, with_baselines=True, with_true_model=False).is_answered_by(without)
+
+
+def test_a_result_that_lacks_the_true_model_gets_it_without_another_diagnosis(monkeypatch):
+    scoring = "swarmtwin.studies.hidden_effects.scoring"
+    answer = TrueModelAnswer(method="oracle", seconds=1.0)
+    monkeypatch.setattr(f"{scoring}.record_session", lambda case: (None, None, None))
+    monkeypatch.setattr(f"{scoring}.true_model_answer", lambda truth: answer)
+    monkeypatch.setattr(f"{scoring}.diagnosis_of", None)  # it would fail
+    before = result("one", "gain_change", ["gain_change"])
+    after = score_case(before.case, with_baselines=False, with_true_model=True, judged=before)
+    assert after == before.model_copy(update={"true_model": answer})
+
+
+def test_what_two_calls_made_of_a_case_is_put_together():
+    black_box = HeldOutGain(before_mm=4.0, after_mm=3.5, least_mm=2.5, share=0.4, share_to_floor=0.3)
+    others = Baselines(fitted=(), rule=None, black_box=black_box)
+    answer = TrueModelAnswer(method="oracle", seconds=1.0)
+    first = result("one", "gain_change", ["gain_change"], baselines=others)
+    second = result("one", "gain_change", true_model=answer)
+    both = filled(first, second)
+    assert both == first.model_copy(update={"true_model": answer})
+    assert filled(None, second) == second
 
 
 def test_bounds_are_those_of_the_books():

@@ -292,6 +292,14 @@ def confidences_table(results: Sequence[Result]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["family", "confidence", "true"])
 
 
+def filled(result: Result | None, other: Result) -> Result:
+    """Return a result with what it lacks of the other methods taken from another one of the same case."""
+    if result is None:
+        return other
+    lacking = [name for name in ("baselines", "true_model") if getattr(result, name) is None]
+    return result.model_copy(update={name: getattr(other, name) for name in lacking})
+
+
 def append_result(path: Path, result: Result) -> None:
     """Add a result to a file, as a whole line; what an interruption left of one before ends there."""
     with path.open("a") as file:

@@ -49,18 +49,24 @@ def diagnosis_of(reference: Recording, measured: Recording, seed: int) -> Diagno
     return Diagnosis(learned, diagnosed, ready - start, time.perf_counter() - ready, peak_mb())
 
 
-def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Result:
-    """Record a case, diagnose it and compare what is said with what is true, and with what the true model would say."""
+def score_case(case: Case, with_baselines: bool, with_true_model: bool, judged: Result | None = None) -> Result:
+    """Record a case, diagnose it and compare what is said with what is true, and with what the true model would say.
+
+    What was judged before is kept where that needs no other diagnosis than the one that it holds.
+    """
     reference, measured, truth = record_session(case)
-    result = Result(
+    result = judged or Result(
         case=case,
         effects=truth.effects,
         true_causes=truth.causes,
         rise_percent=truth.rise_percent,
         same_vehicle=truth.same_vehicle,
         transitions=len(truth.measured.transitions),
-        true_model=true_model_answer(truth) if with_true_model else None,
     )
+    if with_true_model and result.true_model is None:
+        result = result.model_copy(update={"true_model": true_model_answer(truth)})
+    if judged and judged.failure is None and (judged.baselines or not with_baselines):
+        return result
     try:
         diagnosis = diagnosis_of(reference, measured, case.seed)
     except Exception as error:  # a study goes on, and counts it as a failure
@@ -83,6 +89,7 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool) -> Resul
     return result.model_copy(
         update={
             "verdict": said.verdict,
+            "failure": None,
             "causes": said.causes,
             "true_causes": truth.causes_beside([cause.name for cause in said.causes]),
             "likeliest": said.posterior[0].causes if said.posterior else (),

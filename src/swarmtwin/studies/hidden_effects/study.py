@@ -8,7 +8,7 @@ import json
 import logging
 import math
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -42,6 +42,7 @@ from swarmtwin.studies.hidden_effects.results import (
     Result,
     append_result,
     confidences_table,
+    filled,
     parameters_table,
     read_results,
     results_table,
@@ -153,11 +154,13 @@ class ScoringJob:
         case: the session.
         with_baselines: whether the other methods work on it as well.
         with_true_model: whether the method that has the true model does.
+        judged: what has been made of it before, where that lacks something; null where nothing was.
     """
 
     case: Case
     with_baselines: bool
     with_true_model: bool
+    judged: Result | None = None
 
     def is_answered_by(self, result: Result) -> bool:
         """Return whether a result of the case holds all that is asked for."""
@@ -167,7 +170,7 @@ class ScoringJob:
     def run(self, report: Report | None) -> None:
         """Score the case; its result is reported as soon as it is there."""
         with one_thread(), quieter("swarmtwin.transitions", logging.WARNING):
-            result = score_case(self.case, self.with_baselines, self.with_true_model)
+            result = score_case(self.case, self.with_baselines, self.with_true_model, self.judged)
         if report:
             report(result)
 
@@ -208,25 +211,32 @@ def run(options: Options) -> dict[str, Any]:
 
 
 def _results(jobs: list[ScoringJob], file: Path, options: Options) -> list[Result]:
-    """Score the cases that a file of results does not know yet, each kept there at once; return all, in order."""
-    asked = {job.case.key: job for job in jobs}
-    known: dict[str, Result] = {}
-    for path in (file, *options.judged):
-        for key, result in read_results(path, [job.case for job in jobs]).items():
-            if key not in known and asked[key].is_answered_by(result):
-                known[key] = result
-                if path != file:
-                    append_result(file, result)
+    """Score the cases that a file of results does not know yet, each kept there at once; return all, in order.
+
+    What other files know of them is taken over; what these lack is added.
+    """
+    cases = [job.case for job in jobs]
+    known = kept = read_results(file, cases)
+    for path in options.judged:
+        others = read_results(path, cases)
+        known = known | {key: filled(known.get(key), result) for key, result in others.items()}
+    for key, result in known.items():
+        if result != kept.get(key):
+            append_result(file, result)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("sessions diagnosed", total=len(jobs), completed=len(known))
+        missing = [
+            replace(job, judged=known.get(job.case.key))
+            for job in jobs
+            if job.case.key not in known or not job.is_answered_by(known[job.case.key])
+        ]
+        task = bar.add_task("sessions diagnosed", total=len(jobs), completed=len(jobs) - len(missing))
 
         def keep(result: Result) -> None:
             append_result(file, result)
             known[result.case.key] = result
             bar.advance(task)
 
-        missing = [job for job in jobs if job.case.key not in known]
         if options.cluster is None:
             run_side_by_side(missing, keep, options.processes)
         elif missing:
