@@ -150,12 +150,12 @@ def test_what_is_said_of_policies_is_what_ten_seeds_did():
             assert f"{100 * chance['low']:.0f} to {100 * chance['high']:.0f} %" in row
 
 
-def counted_of_the_diagnosis():
+def counted_of_the_diagnosis(what="families"):
     """What the study of hidden effects counted in each family of stand-ins."""
     file = DOCS / "results" / "hidden_effects" / "metrics.json"
     if not file.is_file():
         pytest.skip("no docs/results/hidden_effects: dvc pull docs/results/dvc.yaml")
-    return json.loads(file.read_text())["families"]
+    return json.loads(file.read_text())[what]
 
 
 def test_the_table_of_the_diagnosis_is_what_the_study_counted():
@@ -190,6 +190,29 @@ def test_the_table_of_the_diagnosis_is_what_the_study_counted():
             assert learned_from == " of ".join(str(sum(one[name] for one in counts)) for name in ("count", "total")), (
                 row
             )
+
+
+def test_the_table_of_other_methods_is_what_the_study_counted():
+    said, methods = (DOCS / "results.md").read_text(), counted_of_the_diagnosis("methods")
+    true_model = counted_of_the_diagnosis("true_model")
+    rows = {
+        "the diagnosis": [methods[family]["diagnosis"] for family in methods],
+        "parameter fitting": [methods[family]["parameter fitting"] for family in methods],
+        "the largest correlation": [methods[family]["rules on correlations"] for family in methods],
+        "an oracle": [true_model["formulas"]["oracle"], None],
+        "`mujoco.sysid`": [None, true_model["rigid_body"]["mujoco.sysid"]],
+    }
+    for row, families in rows.items():
+        (line,) = [one for one in said.splitlines() if one.startswith(f"| {row} |")]
+        expected = []
+        for own in families:
+            named = [*own["one"].values(), own["two"], own["three"]] if own else []
+            unnamed = [own["outside"]["total"] - own["outside"]["count"], own["accused"]["count"]] if own else []
+            expected += [
+                f"{sum(one['count'] for one in named)} of {sum(one['total'] for one in named)}" if own else "",
+                f"{sum(unnamed)} of {own['outside']['total'] + own['accused']['total']}" if own else "",
+            ]
+        assert [cell.strip() for cell in line.split("|")[2:-1]] == expected, row
 
 
 def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
