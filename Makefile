@@ -114,8 +114,8 @@ end-to-end: setup
 
 claims: setup
 	$(BIN)/dvc pull --quiet data
-	$(BIN)/pytest -n 2 --dist worksteal -rs -m claims tests
 	$(BIN)/pytest -n 2 --nbmake notebooks
+	$(BIN)/pytest -n 2 --dist worksteal -rs -m claims tests
 
 services: .venv/services  # a study on a Ray cluster, models and recordings in a bucket: both are started here
 	$(BIN)/pytest -m services tests

@@ -105,6 +105,31 @@ def test_the_first_sessions_of_each_kind_are_judged_by_other_methods_as_well(swa
     )
 
 
+def test_what_two_calls_left_is_put_together_and_asked_for_where_it_lacks_something(swarmtwin, workshop, monkeypatch):
+    asked = []
+
+    def examined(case, with_baselines, with_true_model, judged):
+        asked.append((judged, with_true_model))
+        answer = TrueModelAnswer(method="oracle", seconds=60.0) if with_true_model else None
+        planted = judged or result(case.kind, case.about, list(case.true_names), robot=case.robot)
+        return planted.model_copy(update={"case": case, "true_model": answer or planted.true_model})
+
+    monkeypatch.setattr(f"{STUDY}.score_case", examined)
+    few = (*EXPERIMENT, "families=[formulas]")
+    for name, options in {"plain": (), "half": ("true_model.quick=0.5",)}.items():
+        assert swarmtwin(*few, *options, f"output={name}").status == 0
+    assert [judged for judged, _ in asked] == [None] * 12
+    both = "judged=[plain/results.jsonl,half/results.jsonl]"
+    answer = swarmtwin(*few, both, "true_model.quick=0.5", "output=both")
+    assert (answer.status, len(asked)) == (0, 12)
+    answer = swarmtwin(*few, both, "true_model.quick=1", "output=all")
+    assert answer.status == 0, answer.error
+    assert len(asked) == 12 + 3
+    assert all(judged is not None and judged.true_model is None and wanted for judged, wanted in asked[12:])
+    table = pd.read_csv(workshop / "all" / "results.csv")
+    assert (table.true_model_method == "oracle").all()
+
+
 def test_a_rigid_body_without_its_toolbox_is_refused_with_what_to_install(swarmtwin, workshop, monkeypatch):
     pytest.importorskip("mujoco")
     monkeypatch.setitem(sys.modules, "mujoco.sysid", None)

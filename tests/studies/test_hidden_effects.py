@@ -243,7 +243,6 @@ def test_other_methods_are_counted_on_the_same_cases():
     assert (diagnosis["one"][CLEAR].count, diagnosis["one"][CLEAR].total, diagnosis["cases"]) == (2, 2, 5)
     assert (diagnosis["error_cut"], methods["black-box residual"]["error_cut"]) == pytest.approx((0.25, 0.125))
     assert fitting["error_cut"] is None
-    assert formulas(results)["gain"]["black_box"] == pytest.approx(0.4)
     assert formulas(results)["gain"]["diagnosis"] == pytest.approx(0.9)
     text = "\n".join(table.markdown() for table in study_tables(summary))
     told = "| 5 | – | – | 0 of 2 | 1 of 2 | 1 of 1 | – | 0 of 1 | 1 of 1 | – | – | –, – | – |"
@@ -295,15 +294,27 @@ def test_a_result_without_what_is_now_asked_for_is_not_taken_again():
     assert not ScoringJob(without.case, with_baselines=True, with_true_model=False).is_answered_by(without)
 
 
-def test_a_result_that_lacks_the_true_model_gets_it_without_another_diagnosis(monkeypatch):
+def test_what_a_result_lacks_is_added_and_its_diagnosis_stays(monkeypatch):
     scoring = "swarmtwin.studies.hidden_effects.scoring"
     answer = TrueModelAnswer(method="oracle", seconds=1.0)
+    learned = []
+
+    def diagnosis_of(*_):
+        learned.append("anew")
+        raise MemoryError("too much")
+
     monkeypatch.setattr(f"{scoring}.record_session", lambda case: (None, None, None))
     monkeypatch.setattr(f"{scoring}.true_model_answer", lambda truth: answer)
-    monkeypatch.setattr(f"{scoring}.diagnosis_of", None)  # it would fail
+    monkeypatch.setattr(f"{scoring}.diagnosis_of", diagnosis_of)
     before = result("one", "gain_change", ["gain_change"])
-    after = score_case(before.case, with_baselines=False, with_true_model=True, judged=before)
-    assert after == before.model_copy(update={"true_model": answer})
+    with_answer = before.model_copy(update={"true_model": answer})
+    assert score_case(before.case, with_baselines=False, with_true_model=True, judged=before) == with_answer
+    assert not learned
+    assert score_case(before.case, with_baselines=True, with_true_model=True, judged=before) == with_answer
+    assert learned  # for the other methods, in vain
+    failed = before.model_copy(update={"verdict": None, "failure": "ArithmeticError: lost", "causes": ()})
+    assert score_case(before.case, with_baselines=True, with_true_model=False, judged=failed) == failed
+    assert len(learned) == 1
 
 
 def test_what_two_calls_made_of_a_case_is_put_together():
@@ -312,9 +323,23 @@ def test_what_two_calls_made_of_a_case_is_put_together():
     answer = TrueModelAnswer(method="oracle", seconds=1.0)
     first = result("one", "gain_change", ["gain_change"], baselines=others)
     second = result("one", "gain_change", true_model=answer)
-    both = filled(first, second)
-    assert both == first.model_copy(update={"true_model": answer})
+    failed = second.model_copy(update={"verdict": None, "failure": "ArithmeticError: lost"})
+    whole = first.model_copy(update={"true_model": answer})
+    assert filled(first, second) == whole
     assert filled(None, second) == second
+    assert filled(first, failed) == filled(failed, first) == whole
+
+
+def test_the_first_cause_that_a_method_names_is_true_if_it_is_any_of_the_true_ones():
+    black_box = HeldOutGain(before_mm=4.0, after_mm=3.5, least_mm=2.5, share=0.4, share_to_floor=0.3)
+    both = Baselines(fitted=("saturation", "gain_change"), rule="saturation", black_box=black_box)
+    (row,) = results_table([result("two", "gain_change+saturation", baselines=both)]).to_dict("records")
+    assert (row["fitting_first"], row["fitting_exact"], row["rule_first"], row["rule_exact"]) == (
+        True,
+        True,
+        True,
+        False,
+    )
 
 
 def test_bounds_are_those_of_the_books():

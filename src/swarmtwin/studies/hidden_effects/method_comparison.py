@@ -42,7 +42,7 @@ WITH_TRUE_MODEL = Method(*(f"true_model{end}" for end in ("", "_first", "_exact"
 METHODS = {
     DIAGNOSIS: Method("named", "named_first", "exact", "failure", "seconds", "after_mm"),
     "parameter fitting": Method("fitting", "fitting_first", "fitting_exact"),
-    "rules on correlations": Method("rule", "rule_first", "rule_first"),
+    "rules on correlations": Method("rule", "rule_first", "rule_exact"),
     "black-box residual": Method(error_mm="black_box_after_mm"),
     "oracle": WITH_TRUE_MODEL,
     "mujoco.sysid": WITH_TRUE_MODEL,

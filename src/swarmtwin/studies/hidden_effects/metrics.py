@@ -75,8 +75,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         calibration_error: see `expected_calibration_error`.
         gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
             more: median shares of the squared error that the effects had brought, and `to_floor` of all squared error
-            above that of the exact mean, by the diagnosis and by a black-box residual. Where exact means are not known,
-            `beside_twin`: of the error above that of the same session without the effects, which may err more.
+            above that of the exact mean. Where exact means are not known, `beside_twin`: of the error above that of the
+            same session without the effects, which may err more.
         seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
     Over all families: `cases`, `failed`, `misspecified_by_effect`, `outside_by_effect`, `clean_by_variety`. Of each
     family what several methods make of the same cases (see `method_comparison.compared`): `methods` beside the
@@ -225,9 +225,7 @@ def _gains(table: pd.DataFrame) -> dict[str, Any]:
         "count": int(table.after_mm.notna().sum()),
         "diagnosis": median(table.share[table.least_mm.notna()]),
         "beside_twin": median(table.share[table.least_mm.isna()]),
-        "black_box": median(table.black_box_share),
         "diagnosis_to_floor": median(table.share_to_floor),
-        "black_box_to_floor": median(table.black_box_share_to_floor),
     }
 
 

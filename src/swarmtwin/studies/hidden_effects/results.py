@@ -127,7 +127,7 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         exact: the causes named are the true ones, all of them and no other.
         falsely_named: a cause is named that is not there.
         likeliest: the causes that are the likeliest together; likeliest_true: they are the true ones and no others.
-        fitting_first, fitting_exact, rule_first: likewise of the other methods.
+        fitting_first, fitting_exact, rule_first, rule_exact: likewise of the other methods.
         true_model, true_model_first, true_model_exact, true_model_seconds: likewise of what has the true model, which
             is said in `true_model_method`.
     """
@@ -162,10 +162,11 @@ def _row(result: Result) -> dict[str, Any]:
         "times_limit": result.times_limit,
         "with_baselines": others is not None,
         "fitting": "+".join(fitted),
-        "fitting_first": fitted[:1] == true,
+        "fitting_first": bool(set(fitted[:1]) & set(true)),
         "fitting_exact": sorted(fitted) == sorted(true),
         "rule": "+".join(rule),
-        "rule_first": rule == true,
+        "rule_first": bool(set(rule) & set(true)),
+        "rule_exact": rule == true,
         **{f"black_box_{name}": getattr(black_box, name, None) for name in ("after_mm", "share", "share_to_floor")},
         **_row_of_true_model(result),
         "same_vehicle": result.same_vehicle,
@@ -293,9 +294,11 @@ def confidences_table(results: Sequence[Result]) -> pd.DataFrame:
 
 
 def filled(result: Result | None, other: Result) -> Result:
-    """Return a result with what it lacks of the other methods taken from another one of the same case."""
+    """Put together what two calls made of a case: the first diagnosis, unless it alone failed, and all methods."""
     if result is None:
         return other
+    if result.failure is not None and other.failure is None:
+        result, other = other, result
     lacking = [name for name in ("baselines", "true_model") if getattr(result, name) is None]
     return result.model_copy(update={name: getattr(other, name) for name in lacking})
 

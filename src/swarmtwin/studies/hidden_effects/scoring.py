@@ -52,7 +52,8 @@ def diagnosis_of(reference: Recording, measured: Recording, seed: int) -> Diagno
 def score_case(case: Case, with_baselines: bool, with_true_model: bool, judged: Result | None = None) -> Result:
     """Record a case, diagnose it and compare what is said with what is true, and with what the true model would say.
 
-    What was judged before is kept where that needs no other diagnosis than the one that it holds.
+    What was judged before is kept, and what it lacks of the other methods added. Those beside the diagnosis start from
+    its reference, which is learned anew for them; the true model needs none.
     """
     reference, measured, truth = record_session(case)
     result = judged or Result(
@@ -65,11 +66,13 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool, judged: 
     )
     if with_true_model and result.true_model is None:
         result = result.model_copy(update={"true_model": true_model_answer(truth)})
-    if judged and judged.failure is None and (judged.baselines or not with_baselines):
+    if judged and (judged.failure or judged.baselines or not with_baselines):
         return result
     try:
         diagnosis = diagnosis_of(reference, measured, case.seed)
     except Exception as error:  # a study goes on, and counts it as a failure
+        if judged:
+            return result
         return result.model_copy(update={"failure": f"{type(error).__name__}: {error}"})
     diagnosed = diagnosis.diagnosed
     transitions, held_out, said = diagnosed.transitions, diagnosed.held_out, diagnosed.result
@@ -86,10 +89,11 @@ def score_case(case: Case, with_baselines: bool, with_true_model: bool, judged: 
             rule=suggested_cause(diagnosis.reference, transitions, simulated),
             black_box=held_out_gain(known, twin, residual, held_out),
         )
+    if judged:
+        return result.model_copy(update={"baselines": baselines})
     return result.model_copy(
         update={
             "verdict": said.verdict,
-            "failure": None,
             "causes": said.causes,
             "true_causes": truth.causes_beside([cause.name for cause in said.causes]),
             "likeliest": said.posterior[0].causes if said.posterior else (),
