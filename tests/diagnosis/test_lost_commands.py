@@ -9,31 +9,48 @@ from exact_base import ExactBase, Losing, errors_showing, known_noise, session_o
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import beyond_usual_loss
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.lost_commands import _log_density
+from swarmtwin.diagnosis.lost_commands import Ages, _log_density, _tables
 from swarmtwin.diagnosis.noise_filter import Chains
 from swarmtwin.simulation.mechanism import mechanism_class
 
 
-def summed_over_courses(emitted, arrives):
-    """Log density of one run's (n, 4), over all ways in which its commands, and the two before them, arrived."""
-    total = 0.0
-    for arrived in product([True, False], repeat=len(emitted) + 2):
-        density = np.prod([arrives if one else 1 - arrives for one in arrived])
+def summed_over_courses(emitted, ages):
+    """Log density of one run's (n, 2 K), over all ways in which its commands, and the K before them, arrived."""
+    total, oldest = 0.0, ages.oldest
+    for arrived in product([True, False], repeat=len(emitted) + oldest):
+        density = np.prod([ages.arrives if one else 1 - ages.arrives for one in arrived])
         for period, densities in enumerate(emitted):
-            before, now = arrived[period + 1 : period + 3]
-            course = (0 if before else 1) if now else (2 if before else 3)
+            past = arrived[period : period + oldest][
+                ::-1
+            ]  # the period before first; none of them: as old as is followed
+            before = past.index(True) if True in past else oldest
+            now = arrived[period + oldest]
+            course = ages.after_arrival[before] if now else ages.after_loss[min(before + 1, oldest)]
             density *= np.exp(densities[course])
         total += density
     return np.log(total)
 
 
-def test_each_run_is_as_likely_as_all_its_courses_together():
-    rng = np.random.default_rng(3)
-    emitted, rows = rng.normal(-3.0, 2.0, (11, 4)), rng.permutation(11)
+@pytest.mark.parametrize("oldest", [2, 3, 5])
+def test_each_run_is_as_likely_as_all_its_courses_together(oldest):
+    rng, ages = np.random.default_rng(3), Ages(0.7, oldest)
+    emitted, rows = rng.normal(-3.0, 2.0, (11, 2 * oldest)), rng.permutation(11)
     runs = [rows[:5], rows[5:6], rows[6:]]
-    density = _log_density(*Chains.of(runs), emitted, 0.7)
+    density = _log_density(*Chains.of(runs), emitted, *_tables(ages))
     for run in runs:
-        assert np.isclose(density[run].sum(), summed_over_courses(emitted[run], 0.7))
+        assert np.isclose(density[run].sum(), summed_over_courses(emitted[run], ages))
+
+
+@pytest.mark.parametrize("oldest", [2, 3, 5])
+def test_courses_are_numbered_by_how_old_commands_are(oldest):
+    ages = Ages(0.6, oldest)
+    assert ages.probability.sum() == pytest.approx(1.0)
+    assert ages.course_probability.sum() == pytest.approx(1.0)
+    courses = {*ages.after_arrival.tolist(), *ages.after_loss[1:].tolist()}
+    assert courses == set(range(2 * oldest))
+    assert ages.course_probability[:3] == pytest.approx([0.36, 0.24 if oldest == 2 else 0.144, 0.24])
+    assert (ages.nearest(np.arange(2 * oldest)) == np.arange(2 * oldest)).all()
+    assert list(ages.nearest(np.array([30, 31]))) == [ages.after_arrival[-1], ages.after_loss[-1]]
 
 
 @pytest.mark.parametrize("usual", [0.0, 0.01, 0.2])

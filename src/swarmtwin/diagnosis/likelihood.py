@@ -43,7 +43,7 @@ class FittedMechanisms:
         scale: (3,) how much wider these spread than the reference's.
         penalty: nats that the random effects' size costs.
         effect_errors: (N, 3) what random effects make of the errors.
-        courses: (N,) each transition's likeliest course, by which commands arrived, as in `LossOutcomes`: 0 all.
+        courses: (N,) each transition's likeliest course, by which commands arrived, as in `lost_commands`: 0 all.
     """
 
     mechanisms: tuple[Mechanism, ...]

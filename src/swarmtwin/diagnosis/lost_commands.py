@@ -1,6 +1,14 @@
-"""A session in which commands may be lost: which of them arrived is summed over, from the start of each run."""
+"""A session in which commands may be lost: which of them arrived is summed over, from the start of each run.
 
+A course says how old the command in force is, and how old that of the period before was. Courses are numbered so that
+those of older commands come later: 0 both arrived; 1 the present one, and not the one before; 2 only the one before; 3
+neither; and for each age k of 3 and more, 2 k − 2 the present one after one that was k − 1 old, and 2 k − 1 one that is
+k old. The oldest that are followed stand for all older ones.
+"""
+
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,6 +17,56 @@ from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.simulation.mechanism import Mechanism
+
+
+class Ages(NamedTuple):
+    """How old commands in force are followed, and with what probability they are so old.
+
+    Attributes:
+        arrives: probability that a command arrives.
+        oldest: K ≥ 2 periods, which stand for all that are older.
+    """
+
+    arrives: float
+    oldest: int
+
+    @classmethod
+    def of(cls, model: SessionErrors, mechanisms: Sequence[Mechanism], missed: float = 0.1) -> "Ages":
+        """Follow commands so far that fewer than `missed` transitions are expected to have an older one in force."""
+        arrives = min(max(arrival_probability(mechanisms), 1e-9), 1 - 1e-9)
+        periods = math.ceil(math.log(missed / max(len(model.session), 1)) / math.log(1 - arrives))
+        return cls(arrives, min(max(periods - 1, 2), model.predictor.oldest_followed))
+
+    @property
+    def after_arrival(self) -> np.ndarray:
+        """(K + 1,) the course in which the present command arrives after one of each age."""
+        age = np.minimum(np.arange(self.oldest + 1), self.oldest - 1)
+        return np.where(age < 2, age, 2 * age)
+
+    @property
+    def after_loss(self) -> np.ndarray:
+        """(K + 1,) the course in which a command of each age goes on; 0 where none does, at age 0."""
+        age = np.arange(self.oldest + 1)
+        return np.where(age < 3, np.array([0, 2, 3])[np.minimum(age, 2)], 2 * age - 1)
+
+    @property
+    def probability(self) -> np.ndarray:
+        """(K + 1,) that the command in force is of each age."""
+        lost = (1 - self.arrives) ** np.arange(self.oldest + 1)
+        return np.append(lost[:-1] * self.arrives, lost[-1])
+
+    @property
+    def course_probability(self) -> np.ndarray:
+        """(2 K,) of each course."""
+        chance = np.zeros(2 * self.oldest)
+        np.add.at(chance, self.after_arrival, self.arrives * self.probability)
+        chance[self.after_loss[1:]] = self.probability[1:]
+        return chance
+
+    def nearest(self, course: np.ndarray) -> np.ndarray:
+        """Return courses (N,) of commands that are older than is followed as those of the oldest."""
+        oldest = np.where(course % 2 == 0, self.after_arrival[-1], self.after_loss[-1])
+        return np.where(course < 2 * self.oldest, course, oldest)
 
 
 class LostCommands:
@@ -20,29 +78,32 @@ class LostCommands:
         courses: (N,) taken for the likeliest ones; None: these are looked for.
 
     Attributes:
-        likeliest: (N,) each transition's likeliest course, 0 where both its commands arrived.
+        likeliest: (N,) each transition's likeliest course.
         whitened: (N, 3) errors of that course.
     """
 
     def __init__(
         self, model: SessionErrors, mechanisms: Sequence[Mechanism], courses: np.ndarray | None = None
     ) -> None:
-        self._model, self._taken = model, courses
-        self._arrives = _arrival_probability(mechanisms)
-        self._errors = _errors_of_courses(model, mechanisms)
-        self.expect(np.zeros((len(self._errors), 3)), np.zeros_like(self._errors))
+        self._model, self._ages = model, Ages.of(model, mechanisms)
+        self._taken = None if courses is None else self._ages.nearest(courses)
+        self._errors = _errors_of_courses(model, mechanisms, self._ages)
+        self.expect(np.zeros((len(self._errors), 3)), np.zeros((len(self._errors), 3, 4)))
 
     def expect(self, effect_errors: np.ndarray, where_lost: np.ndarray) -> None:
         """Choose the likeliest courses anew, where random effects make errors.
 
         Args:
             effect_errors: (N, 3) these errors, where every command arrives.
-            where_lost: (N, 3, 4) what is added to them in each course.
+            where_lost: (N, 3, 4) what is added to them in each course; those of older commands are as the second
+                and the last of these.
         """
+        of_older = [where_lost[..., [1, 3]]] * (self._ages.oldest - 2)
+        where_lost = np.concatenate([where_lost, *of_older], axis=-1)
         errors = self._errors - where_lost
         each = np.arange(len(errors))
         if self._taken is None:
-            self.likeliest = _likeliest(self._model, errors - effect_errors[..., None], self._arrives)
+            self.likeliest = _likeliest(self._model, errors - effect_errors[..., None], self._ages)
         else:
             self.likeliest = self._taken
         chosen = errors[each, :, self.likeliest]
@@ -60,51 +121,63 @@ class LostCommands:
         left = (self._courses - shift[..., None]) / scale[:, None]
         emitted = log_density(left.transpose(0, 2, 1), self._model.noise.degrees_of_freedom)
         chains = self._model.filter.chains
-        density: np.ndarray = _log_density(*chains, emitted, self._arrives)
+        density: np.ndarray = _log_density(*chains, emitted, *_tables(self._ages))
         return density
 
 
-@compiled
-def _log_density(rows: np.ndarray, ends: np.ndarray, emitted: np.ndarray, arrives: float) -> np.ndarray:
-    """Return (N,) log densities in chains of transitions, of those (N, 4) of each course: Rabiner's forward algorithm.
+def _tables(ages: Ages) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    return ages.arrives, ages.probability, ages.after_arrival, ages.after_loss
 
-    The hidden state is how old the command in force is: none, one or more periods, each scaled to sum to 1.
+
+@compiled
+def _log_density(
+    rows: np.ndarray,
+    ends: np.ndarray,
+    emitted: np.ndarray,
+    arrives: float,
+    probability: np.ndarray,
+    after_arrival: np.ndarray,
+    after_loss: np.ndarray,
+) -> np.ndarray:
+    """Return (N,) log densities in chains of transitions, from (N, 2 K) of each course: Rabiner's forward algorithm.
+
+    The hidden state is how old the command in force is, 0 to K periods, each scaled to sum to 1.
     """
-    lost, density = 1 - arrives, np.zeros(len(emitted))
+    lost, oldest, density = 1 - arrives, len(probability) - 1, np.zeros(len(emitted))
     for chain in range(len(ends) - 1):
-        now, once, twice = arrives, arrives * lost, lost**2
+        age = probability.copy()
         for row in rows[ends[chain] : ends[chain + 1]]:
             largest = emitted[row].max()
             seen = np.exp(emitted[row] - largest)
-            older = once + twice
-            fresh = arrives * (now * seen[0] + older * seen[1])
-            once = lost * now * seen[2]
-            twice = lost * older * seen[3]
-            total = max(fresh + once + twice, 1e-300)
+            after = np.zeros(oldest + 1)
+            for before in range(oldest + 1):
+                after[0] += arrives * age[before] * seen[after_arrival[before]]
+                older = min(before + 1, oldest)
+                after[older] += lost * age[before] * seen[after_loss[older]]
+            total = max(after.sum(), 1e-300)
             density[row] = np.log(total) + largest
-            now, once, twice = fresh / total, once / total, twice / total
+            age = after / total
     return density
 
 
 def likeliest_errors(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
     """Return the errors (N, 3) of each transition's likeliest course, by the reference's noise."""
-    errors = _errors_of_courses(model, mechanisms)
-    return errors[np.arange(len(errors)), :, _likeliest(model, errors, _arrival_probability(mechanisms))]
+    ages = Ages.of(model, mechanisms)
+    errors = _errors_of_courses(model, mechanisms, ages)
+    return errors[np.arange(len(errors)), :, _likeliest(model, errors, ages)]
 
 
-def _arrival_probability(mechanisms: Sequence[Mechanism]) -> float:
-    return min(max(arrival_probability(mechanisms), 1e-9), 1 - 1e-9)
+def _errors_of_courses(model: SessionErrors, mechanisms: Sequence[Mechanism], ages: Ages) -> np.ndarray:
+    """Return the errors (N, 3, 2 K) of each course."""
+    twists = list(model.predictor.outcomes(mechanisms))
+    for age in range(3, ages.oldest + 1):
+        twists += model.predictor.outcomes_of_older(mechanisms, age)
+    return np.stack([model.errors_of(twist) for twist in twists], axis=-1)
 
 
-def _errors_of_courses(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
-    """Return errors (N, 3, 4) by which commands arrived: both, the last one, the one before, neither."""
-    return np.stack([model.errors_of(twist) for twist in model.predictor.outcomes(mechanisms)], axis=-1)
-
-
-def _likeliest(model: SessionErrors, errors: np.ndarray, arrives: float) -> np.ndarray:
-    """Return (N,) which of the courses with errors (N, 3, 4) each transition most likely took."""
-    lost = 1 - arrives
-    chance = np.log([arrives * arrives, arrives * lost, arrives * lost, lost**2])
+def _likeliest(model: SessionErrors, errors: np.ndarray, ages: Ages) -> np.ndarray:
+    """Return (N,) which of the courses with errors (N, 3, 2 K) each transition most likely took."""
+    chance = np.log(ages.course_probability)
     spread, freedom = model.usual_spread[..., None], model.reference_noise.degrees_of_freedom
     alone = log_density((errors / spread).transpose(0, 2, 1), freedom) + chance
     likeliest: np.ndarray = alone.argmax(axis=1)

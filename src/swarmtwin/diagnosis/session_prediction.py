@@ -73,6 +73,7 @@ class SessionPredictor:
             and between mechanisms; None: the base itself.
         answers: of the base so far, by the mechanisms that change what it is asked; those of the last few are kept.
         twists: (N, 3) that were asked for, by the mechanisms; those of the last few are kept.
+        of_older: predictors of the same transitions that take an older command for the earlier one, by its age.
     """
 
     base: DynamicsModel
@@ -83,6 +84,7 @@ class SessionPredictor:
     quick: DynamicsModel | None = None
     answers: dict[tuple[str, ...], Answers] = field(default_factory=lambda: {(): Answers()})
     twists: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
+    of_older: dict[int, "SessionPredictor"] = field(default_factory=dict)
 
     def with_member(self, member: int) -> "SessionPredictor":
         """Return it with one member of the base in the place of the mean of all, what is quick in the base's place."""
@@ -149,6 +151,33 @@ class SessionPredictor:
     def outcomes(self, mechanisms: Sequence[Mechanism]) -> LossOutcomes:
         """Return how each transition goes, by which of its commands arrived."""
         return LossOutcomes(*(self._known_twist(mechanisms, roles) for roles in _OUTCOMES))
+
+    @property
+    def oldest_followed(self) -> int:
+        """How many periods old the command in force may be at most; where each was sent is known of three alone."""
+        return 2 if self.sent else 12
+
+    def outcomes_of_older(self, mechanisms: Sequence[Mechanism], age: int) -> tuple[Tensor, Tensor]:
+        """Return the measured twists (N, 3) where the command of so many periods before, three or more, was in force.
+
+        Returns:
+            where the present command arrives, and where that one goes on. Where a run has not had so many periods yet,
+            its first known command was.
+        """
+        if age not in self.of_older:
+            older = self.situation.earlier_command
+            assert older is not None
+            rows = torch.as_tensor(np.flatnonzero(self.follows >= 0))
+            before = torch.as_tensor(self.follows)[rows]
+            for _ in range(age - 2):
+                older = older.index_copy(0, rows, older[before])
+            situation = replace(self.situation, earlier_command=older)
+            self.of_older[age] = SessionPredictor(
+                self.base, self.conditions, situation, self.follows, self.sent, self.quick
+            )
+        _, arrived, _, lost = _OUTCOMES
+        predictor = self.of_older[age]
+        return predictor._known_twist(mechanisms, arrived), predictor._known_twist(mechanisms, lost)
 
     def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 24) -> Tensor:
         """Return the twists (N, 3), known what arrived; those of the last few mechanisms are not predicted anew."""
