@@ -33,7 +33,7 @@ CERTAIN = DiagnosisSettings.parse(
 
 
 def drawn_values(kind, robot, rng):
-    """Values between those that a search begins with, not nearly doing nothing; fewer lost than three in a row show."""
+    """Values between those that a search begins with, not nearly doing nothing."""
     side_mm = float(np.min(robot.arena_mm.high_mm - robot.arena_mm.low_mm))
     direction_rad = rng.uniform(-np.pi, np.pi)
     ways = np.array([np.cos(direction_rad), np.sin(direction_rad)])
@@ -47,7 +47,7 @@ def drawn_values(kind, robot, rng):
         case "timing_jitter":
             return {"spread": rng.uniform(0.02, 0.06)}
         case "command_loss":
-            return {"probability": rng.uniform(0.02, 0.1)}
+            return {"probability": rng.uniform(0.02, 0.4)}
     values, points = {}, kind.initial_points(robot, conditions_of(robot))
     for name, parameter in kind.parameters_of(robot, conditions_of(robot)).items():
         low, high = (end(point[name] for point in points) for end in (min, max))

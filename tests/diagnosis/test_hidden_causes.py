@@ -111,6 +111,17 @@ def test_motion_that_is_more_random_and_nothing_else_is_named(robots, references
     assert factor.low < 1.6 < factor.high
 
 
+def test_commands_that_are_lost_often_are_told_as_often(robots, references):
+    """Of two in five that are lost one in sixteen follows two others, or more: what goes on is older still."""
+    effects = ({"name": "command_loss", "probability": 0.4},)
+    case = Case(family="formulas", kind="one", robot="mgr", names=["command_loss"], seed=18)
+    session = with_effects(case, usual(robots["mgr"], 45, 18), effects)
+    result = diagnose(references["mgr"], session.recording, SEED).result
+    assert [cause.name for cause in result.causes] == ["command_loss"], result.not_confirmed
+    probability = result.causes[0].parameters["probability"]
+    assert probability.low < 0.4 < probability.high
+
+
 def test_eight_long_drives_tell_as_much_as_many_short_ones(robots, references):
     effects = ({"name": "battery_sag", "loss": 0.3, "shape": 1.0},)
     case = Case(family="formulas", kind="one", robot="mgr", names=["battery_sag"], seed=17)
