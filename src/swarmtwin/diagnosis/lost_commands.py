@@ -6,7 +6,6 @@ neither; and for each age k of 3 and more, 2 k − 2 the present one after one t
 k old. The oldest that are followed stand for all older ones.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -31,11 +30,10 @@ class Ages(NamedTuple):
     oldest: int
 
     @classmethod
-    def of(cls, model: SessionErrors, mechanisms: Sequence[Mechanism], missed: float = 0.1) -> "Ages":
-        """Follow commands so far that fewer than `missed` transitions are expected to have an older one in force."""
+    def of(cls, model: SessionErrors, mechanisms: Sequence[Mechanism]) -> "Ages":
+        """Follow commands as far as a session's predictor does, however many are lost, so that no likelihood jumps."""
         arrives = min(max(arrival_probability(mechanisms), 1e-9), 1 - 1e-9)
-        periods = math.ceil(math.log(missed / max(len(model.session), 1)) / math.log(1 - arrives))
-        return cls(arrives, min(max(periods - 1, 2), model.predictor.oldest_followed))
+        return cls(arrives, model.predictor.oldest_followed)
 
     @property
     def after_arrival(self) -> np.ndarray:

@@ -154,8 +154,11 @@ class SessionPredictor:
 
     @property
     def oldest_followed(self) -> int:
-        """How many periods old the command in force may be at most; where each was sent is known of three alone."""
-        return 2 if self.sent else 12
+        """How many periods old the command in force may be at most: of two in five lost, one in 4,000 is older.
+
+        Where commands are known as they were sent, three of them are known.
+        """
+        return 2 if self.sent else 8
 
     def outcomes_of_older(self, mechanisms: Sequence[Mechanism], age: int) -> tuple[Tensor, Tensor]:
         """Return the measured twists (N, 3) where the command of so many periods before, three or more, was in force.
