@@ -20,9 +20,7 @@ def summed_over_courses(emitted, ages):
     for arrived in product([True, False], repeat=len(emitted) + oldest):
         density = np.prod([ages.arrives if one else 1 - ages.arrives for one in arrived])
         for period, densities in enumerate(emitted):
-            past = arrived[period : period + oldest][
-                ::-1
-            ]  # the period before first; none of them: as old as is followed
+            past = arrived[period : period + oldest][::-1]  # the last one first
             before = past.index(True) if True in past else oldest
             now = arrived[period + oldest]
             course = ages.after_arrival[before] if now else ages.after_loss[min(before + 1, oldest)]
@@ -49,8 +47,6 @@ def test_courses_are_numbered_by_how_old_commands_are(oldest):
     courses = {*ages.after_arrival.tolist(), *ages.after_loss[1:].tolist()}
     assert courses == set(range(2 * oldest))
     assert ages.course_probability[:3] == pytest.approx([0.36, 0.24 if oldest == 2 else 0.144, 0.24])
-    assert (ages.nearest(np.arange(2 * oldest)) == np.arange(2 * oldest)).all()
-    assert list(ages.nearest(np.array([30, 31]))) == [ages.after_arrival[-1], ages.after_loss[-1]]
 
 
 @pytest.mark.parametrize("usual", [0.0, 0.01, 0.2])

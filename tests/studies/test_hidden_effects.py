@@ -334,12 +334,8 @@ def test_the_first_cause_that_a_method_names_is_true_if_it_is_any_of_the_true_on
     black_box = HeldOutGain(before_mm=4.0, after_mm=3.5, least_mm=2.5, share=0.4, share_to_floor=0.3)
     both = Baselines(fitted=("saturation", "gain_change"), rule="saturation", black_box=black_box)
     (row,) = results_table([result("two", "gain_change+saturation", baselines=both)]).to_dict("records")
-    assert (row["fitting_first"], row["fitting_exact"], row["rule_first"], row["rule_exact"]) == (
-        True,
-        True,
-        True,
-        False,
-    )
+    told = [row[name] for name in ("fitting_first", "fitting_exact", "rule_first", "rule_exact")]
+    assert told == [True, True, True, False]
 
 
 def test_bounds_are_those_of_the_books():

@@ -61,11 +61,6 @@ class Ages(NamedTuple):
         chance[self.after_loss[1:]] = self.probability[1:]
         return chance
 
-    def nearest(self, course: np.ndarray) -> np.ndarray:
-        """Return courses (N,) of commands that are older than is followed as those of the oldest."""
-        oldest = np.where(course % 2 == 0, self.after_arrival[-1], self.after_loss[-1])
-        return np.where(course < 2 * self.oldest, course, oldest)
-
 
 class LostCommands:
     """What a session looks like by which commands arrived: a hidden Markov model of how old the one in force is.
@@ -83,8 +78,8 @@ class LostCommands:
     def __init__(
         self, model: SessionErrors, mechanisms: Sequence[Mechanism], courses: np.ndarray | None = None
     ) -> None:
-        self._model, self._ages = model, Ages.of(model, mechanisms)
-        self._taken = None if courses is None else self._ages.nearest(courses)
+        self._model, self._taken = model, courses
+        self._ages = Ages.of(model, mechanisms)
         self._errors = _errors_of_courses(model, mechanisms, self._ages)
         self.expect(np.zeros((len(self._errors), 3)), np.zeros((len(self._errors), 3, 4)))
 
