@@ -94,6 +94,46 @@ def test_a_policy_is_learned_kept_tracked_and_registered(swarmtwin, model, works
     assert load_policy(version.folder()).provenance == policy.provenance
 
 
+def test_learning_goes_on_from_a_policy(swarmtwin, model, workshop):
+    """It is the first that is evaluated, with what it reached where it was learned, and may be kept as the best."""
+    model("mlp")
+    once = (*QUICK, "register=false", "seeds=1")
+    assert swarmtwin(*once, "output=first").status == 0
+    answer = swarmtwin(*once, "start_from=first", "seed=5", "policy.critic_updates=50", "output=second")
+    assert answer.status == 0, answer.error
+    first, second = (pd.read_csv(workshop / name / "history.csv").set_index("step") for name in ("first", "second"))
+    assert second.index.tolist() == [0, 50, 100, 150]
+    begun = load_policy(workshop / "first").provenance.evaluation.step
+    assert second.loc[0, "success"] == first.loc[begun, "success"]
+    assert second.loc[0, "reward"] == first.loc[begun, "reward"]
+    started_from = load_policy(workshop / "second").provenance.started_from
+    assert started_from.source == "first"
+    assert swarmtwin(*once, "start_from=first", "overwrite=true", "output=first").status == 2
+    assert load_policy(workshop / "first").provenance.started_from is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["start_from=nowhere"], "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERS"),
+        (
+            ["start_from=still", "policy.layers=[8]"],
+            "start_from=still: its network is another than that of policy.name",
+        ),
+        (["start_from=still", "task.sees_commands=1"], "start_from=still: that policy, of task 'obstacle', looks at"),
+    ],
+)
+def test_learning_goes_on_from_no_policy_that_does_not_fit(
+    swarmtwin, model, still_challenger, workshop, options, message
+):
+    model("mlp")
+    answer = swarmtwin(*QUICK, *options, "output=out")
+    assert answer.status == 2
+    assert answer.error.startswith(f"swarmtwin learn: {message}")
+    assert len(answer.error.strip().splitlines()) == 1
+    assert not (workshop / "out").exists()
+
+
 @pytest.mark.end_to_end
 def test_a_sweep_learns_with_each_algorithm(swarmtwin, model, workshop):
     model("mlp")

@@ -14,6 +14,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.policies import training
 from swarmtwin.policies.algorithm import algorithm_config
 from swarmtwin.policies.checkpoint import read_checkpoint
+from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.policies.training import Learner, best_of, learn_all, policy_of, roll_out_in, task_in
@@ -300,6 +301,30 @@ def test_rewards_are_scaled_by_random_play_and_the_critic_begins_with_its_value(
     assert 4 < 2.0 * learner.env.reward_scale < 12
     for layer in learner.job.algorithm.critics(learner.algorithm):
         assert layer.bias.item() == pytest.approx(-2.0 / 0.1)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_learning_goes_on_from_a_policy(folder, undisturbed, name):
+    """It is what acts, what targets are made with, and the first that is evaluated."""
+    before = undisturbed(name)
+    job = policy_job(folder, algorithm=small(name), seed=2)
+    learner = Learner(job._replace(initial=InitialPolicy("before", before.weights)))
+    learner.begin()
+    assert all(np.array_equal(before.weights[key], value) for key, value in learner.policy.state_dict().items())
+    target = getattr(learner.algorithm.policy, "actor_target", None)
+    if target is not None:
+        pairs = zip(target.parameters(), learner.algorithm.policy.actor.parameters(), strict=True)
+        assert all(np.array_equal(one.detach(), other.detach()) for one, other in pairs)
+    assert [evaluation.step for evaluation in learner.history] == [0]
+    assert learner.job.identity != job.identity
+
+
+def test_an_interrupted_training_that_went_on_from_a_policy_continues_to_the_same_numbers(
+    folder, undisturbed, tmp_path
+):
+    initial = InitialPolicy("before", undisturbed("ddpg").weights)
+    job = policy_job(folder, algorithm=small("ddpg"), seed=2)._replace(initial=initial)
+    check_continues(job, tmp_path / "seed.ckpt", job.run(None), evaluations=2)
 
 
 def test_a_seed_that_diverges_is_flagged_and_the_others_go_on(folder, caplog):

@@ -15,6 +15,7 @@ from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
+from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.learned_folder import origin_of, save_learned
 from swarmtwin.policies.policy_folder import PolicyProvenance, StoredPolicy, load_policy
 from swarmtwin.policies.reward_plots import draw_learning
@@ -29,7 +30,6 @@ from swarmtwin.policies.training import (
 )
 from swarmtwin.robot import Arena, Robot, Seed, StrictModel
 from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, TableSettings, tabulated
-from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
@@ -49,6 +49,7 @@ class Options(StrictModel):
     arena_mm: Arena | None
     policy: dict[str, Any]
     simulation: str | None
+    start_from: str | None
     evaluate_every: Annotated[int, Field(ge=1)]
     scenes: Annotated[int, Field(ge=1)]
     finalists: Annotated[int, Field(ge=1)]
@@ -83,6 +84,7 @@ def run(options: Options) -> dict[str, Any]:
     torch_device(options.device)
     table = _table_of(simulation, options)
     randomisation = chosen_randomisation(options.randomisation, load_simulation(simulation), options.draws)
+    initial = _initial(options, task, algorithm)
     origin = origin_of(source, simulation)
     name = f"{options.robot.name}-{task.config.name}-{algorithm.name}"
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
@@ -90,6 +92,8 @@ def run(options: Options) -> dict[str, Any]:
     inputs = [Dataset(simulation, "simulation", origin.digest)]
     if isinstance(options.randomisation, str):
         inputs.append(Dataset.of_files(Path(options.randomisation), "diagnosis"))
+    if options.start_from is not None:
+        inputs.append(Dataset.of_files(model_folder(options.start_from), "policy"))
     with (
         new_folder(
             output, "learn", settings, options.overwrite, resumable=True, inputs=[one.folder for one in inputs]
@@ -97,7 +101,25 @@ def run(options: Options) -> dict[str, Any]:
         tracked_run("policy", name, settings, inputs, options.seed) as tracked,
     ):
         started = time.monotonic()
-        jobs = _jobs(options, task, algorithm, simulation, origin.digest, folder / CHECKPOINTS, randomisation)
+        first = PolicyJob(
+            robot=options.robot,
+            task=task.config,
+            algorithm=algorithm,
+            schedule=Schedule.of(options, algorithm.steps),
+            simulation=simulation,
+            digest=origin.digest,
+            seed=options.seed,
+            checkpoint=None,
+            sampled=options.sampled,
+            device=options.device,
+            tabulated=options.tabulated,
+            table=options.table,
+            randomisation=randomisation,
+            arena=options.arena_mm,
+            initial=initial,
+        )
+        seeds = range(options.seed, options.seed + options.seeds)
+        jobs = [first._replace(seed=seed, checkpoint=folder / CHECKPOINTS / f"seed-{seed}.ckpt") for seed in seeds]
         with training_bars(name, jobs[0].schedule.all_steps) as report:
             results = learn_all(jobs, _tracking(tracked, report))
         provenance = save_learned(folder, task, jobs[0], results, origin)
@@ -132,6 +154,18 @@ def _simulation(options: Options) -> tuple[str, Path]:
     return str(folder), folder
 
 
+def _initial(options: Options, task: Task, algorithm: AlgorithmConfig) -> InitialPolicy | None:
+    """Return the policy that learning goes on from; None: it begins from nothing.
+
+    Raises:
+        UserError: there is none, it is of another robot, looks at other numbers or has another network.
+    """
+    if options.start_from is None:
+        return None
+    stored = load_policy(model_folder(options.start_from), options.robot)
+    return InitialPolicy.of(options.start_from, stored, task, algorithm)
+
+
 def _table_of(simulation: Path, options: Options) -> TableError | None:
     """Return how far the table is off that policies are learned in; None where they are not learned in one.
 
@@ -163,37 +197,6 @@ def _challenge(options: Options, version: registry.Version, output: Path, task: 
         return verdict.passed, str(verdict)
 
     return registry.challenge(version, compare)
-
-
-def _jobs(
-    options: Options,
-    task: Task,
-    algorithm: AlgorithmConfig,
-    simulation: Path,
-    digest: str,
-    checkpoints: Path,
-    randomisation: Randomisation | None,
-) -> list[PolicyJob]:
-    schedule = Schedule.of(options, algorithm.steps)
-    return [
-        PolicyJob(
-            robot=options.robot,
-            task=task.config,
-            algorithm=algorithm,
-            schedule=schedule,
-            simulation=simulation,
-            digest=digest,
-            seed=seed,
-            checkpoint=checkpoints / f"seed-{seed}.ckpt",
-            sampled=options.sampled,
-            device=options.device,
-            tabulated=options.tabulated,
-            table=options.table,
-            randomisation=randomisation,
-            arena=options.arena_mm,
-        )
-        for seed in range(options.seed, options.seed + options.seeds)
-    ]
 
 
 def _tracking(tracked: TrackedRun, report: LearningReport) -> LearningReport:

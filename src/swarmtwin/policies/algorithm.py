@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from typing import Annotated, Any, ClassVar
 
+import torch
 from pydantic import Field
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import ActionNoise
@@ -12,7 +13,7 @@ from torch import nn
 from swarmtwin.plugins import PluginRegistry
 from swarmtwin.policies import algorithms
 from swarmtwin.policies.lean_updates import SharedGaussianNoise
-from swarmtwin.policies.policy import ACTIVATIONS, Activation, Architecture, Squashing, Widths
+from swarmtwin.policies.policy import ACTIVATIONS, Activation, Architecture, Policy, Squashing, Widths
 from swarmtwin.robot import Positive, StrictModel
 
 Count = Annotated[int, Field(ge=1)]
@@ -71,6 +72,17 @@ class AlgorithmConfig(StrictModel):
         """Let untrained critics begin with the value of random play, rather than learn so much from nothing first."""
         for layer in self.critics(algorithm):
             nn.init.constant_(layer.bias, value)
+
+    def begin_with(self, algorithm: BaseAlgorithm, policy: Policy) -> None:
+        """Let an untrained actor, and its target where it has one, begin with a policy of the same architecture."""
+        learned = [layer for layer in policy.network if isinstance(layer, nn.Linear)]
+        with torch.no_grad():
+            for layer, known in zip(self.layers_of(algorithm), learned, strict=True):
+                layer.weight.copy_(known.weight)
+                layer.bias.copy_(known.bias)
+        target = getattr(algorithm.policy, "actor_target", None)
+        if target is not None:
+            target.load_state_dict(self.actor(algorithm).state_dict())
 
     def layers_of(self, algorithm: BaseAlgorithm) -> list[nn.Linear]:
         """Return the actor's linear layers, in their order."""

@@ -49,6 +49,7 @@ def provenance_of(job: PolicyJob, results: Sequence[SeedResult], origin: Simulat
         algorithm=job.algorithm.model_dump(mode="json"),
         schedule=job.schedule.model_dump(mode="json"),
         randomisation=job.randomisation.model_dump(mode="json") if job.randomisation else None,
+        started_from=job.initial.origin if job.initial else None,
         seed=best_of(results).seed,
         seeds=tuple(outcomes),
     )

@@ -33,6 +33,18 @@ class SimulationOrigin(StrictModel):
     origin: str
 
 
+class InitialOrigin(StrictModel):
+    """The policy that learning went on from.
+
+    Attributes:
+        source: how it was named.
+        digest: identifies its weights.
+    """
+
+    source: str
+    digest: str
+
+
 class SeedOutcome(StrictModel):
     """What came of one seed: its best evaluation, and why it cannot be used, if it cannot."""
 
@@ -49,6 +61,7 @@ class PolicyProvenance(StrictModel):
         algorithm: how it was learned, all values.
         schedule: how long, and how it was evaluated.
         randomisation: by what roll-outs differed, all values; None: they did not.
+        started_from: the policy that learning went on from; None: it began from nothing.
         seed: the seed chosen, best in the final scenarios.
         seeds: what came of each.
     """
@@ -57,6 +70,7 @@ class PolicyProvenance(StrictModel):
     algorithm: dict[str, Any]
     schedule: dict[str, Any]
     randomisation: dict[str, Any] | None = None
+    started_from: InitialOrigin | None = None
     seed: int
     seeds: tuple[SeedOutcome, ...]
 

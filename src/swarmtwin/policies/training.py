@@ -27,6 +27,7 @@ from swarmtwin.policies.checkpoint import (
     unpack,
     write_checkpoint,
 )
+from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
 from swarmtwin.policies.schedule import Schedule
@@ -85,6 +86,7 @@ class PolicyJob(NamedTuple):
         table: how fine that is.
         randomisation: what differs from roll-out to roll-out; None: nothing.
         arena: where they drive; None: the arena of the simulation.
+        initial: the policy that learning goes on from, the first that is evaluated; None: it begins from nothing.
     """
 
     robot: Robot
@@ -101,6 +103,7 @@ class PolicyJob(NamedTuple):
     table: TableSettings = TableSettings()
     randomisation: Randomisation | None = None
     arena: Arena | None = None
+    initial: InitialPolicy | None = None
 
     def run(self, report: LearningReport | None) -> SeedResult:
         """Learn, on one thread; interrupted and continued, the numbers are the same bit for bit."""
@@ -115,6 +118,8 @@ class PolicyJob(NamedTuple):
         others = [self.digest, self.seed, self.sampled, torch_device(self.device).type, self.tabulated]
         for part in (self.randomisation, self.arena):
             others.append(part.model_dump(mode="json") if part else None)
+        if self.initial:
+            others.append(self.initial.origin.digest)
         return hashlib.sha256(json.dumps([*settings, *others]).encode()).hexdigest()
 
 
@@ -164,8 +169,10 @@ class Learner:
         return -math.inf if self.diverged else self.history[-1].reward
 
     def begin(self) -> None:
-        """Begin from nothing."""
+        """Begin from nothing, or from the policy that learning goes on from, which is evaluated first."""
         self.scale_rewards()
+        if self.job.initial:
+            self._begin_with(self.job.initial)
         self.env.begin()
 
     def learn_until(self, steps: int, report: LearningReport | None, keep: Callable[[], None]) -> None:
@@ -189,6 +196,14 @@ class Learner:
         reward = float(played.mean_reward.mean())
         self.env.reward_scale = max(abs(reward), 1e-6) / algorithm.reward_size  # never a division by zero
         algorithm.expect(self.algorithm, reward / self.env.reward_scale / (1.0 - algorithm.gamma))
+
+    def _begin_with(self, initial: InitialPolicy) -> None:
+        """Let the actor begin with a policy, and critics with its value instead of that of random play."""
+        algorithm = self.job.algorithm
+        policy = self._with({name: torch.from_numpy(values) for name, values in initial.weights.items()})
+        algorithm.begin_with(self.algorithm, policy)
+        self._evaluate()
+        algorithm.expect(self.algorithm, self.reward / self.env.reward_scale / (1.0 - algorithm.gamma))
 
     def _train_until_next_evaluation(self, steps_in_all: int, report: LearningReport | None) -> None:
         schedule, seed = self.job.schedule, self.job.seed

@@ -1,4 +1,4 @@
-"""`swarmtwin experiment name=policy_gain`: what a policy gains from being learned in the extended simulation."""
+"""`swarmtwin experiment name=policy_gain`: what a policy gains if it goes on learning in the extended simulation."""
 
 import json
 import shutil
@@ -11,25 +11,27 @@ import pandas as pd
 from rich.console import Console
 
 from swarmtwin.diagnosis.result import DiagnosisResult
+from swarmtwin.diagnosis.saved_diagnosis import RESIDUALS
 from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS, check_output, new_folder, write_text
 from swarmtwin.learning.parallel import run_side_by_side
 from swarmtwin.learning.progress_bars import stage_bar
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
+from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.rollout_comparison import check_count
 from swarmtwin.standin.effects import parse_effects
 from swarmtwin.standin.session import require_stand_in
 from swarmtwin.studies.policy_gain.diagnosed_robots import AS_LEARNED, FamilyDiagnosis, extension_of
 from swarmtwin.studies.policy_gain.options import Options
 from swarmtwin.studies.policy_gain.table import draw_gains, gain_table
-from swarmtwin.studies.policy_gain.trials import Trials
+from swarmtwin.studies.policy_gain.trials import Trial, Trials
 from swarmtwin.studies.reality_gap.learned_policies import Candidate, Learned, learn_in, load_candidate
 from swarmtwin.studies.stand_in_families import Family, chosen_families, live_vehicles_of
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
 from swarmtwin.world.motion import Motion
 from swarmtwin.world.task import task_config
 
-NOTHING = "nothing"
+NOTHING, BEGUN = "nothing", "begun"
 QUANTITIES = ("success", "reward")
 
 
@@ -58,7 +60,7 @@ def run(options: Options) -> dict[str, Any]:
             lines += tried.lines
             trials += tried.trials
             found |= {(family, name): said for name, said in tried.found.items()}
-        shutil.copytree(work, folder / "simulations")
+        shutil.copytree(work, folder / "simulations", ignore=shutil.ignore_patterns(RESIDUALS))
         table = pd.DataFrame(lines)
         table.to_csv(folder / "table.csv", index=False, float_format="%.5f")
         pd.concat(trials).to_csv(folder / "trials.csv", index=False)
@@ -81,7 +83,7 @@ def _checked(options: Options) -> tuple[AlgorithmConfig, tuple[Family, ...]]:
     if len(options.vehicles) < asked:
         raise UserError(f"vehicles are {len(options.vehicles)}, the task is for {asked}: give {asked} ids or more")
     for name, effects in options.hidden.items():
-        if name in (AS_LEARNED, NOTHING):
+        if name in (AS_LEARNED, NOTHING, BEGUN):
             raise UserError(f"hidden: {name!r} names what is compared with: give it another name")
         parsed = parse_effects(effects, options.robot, asked)
         for family in families:
@@ -106,6 +108,8 @@ def _diagnose(options: Options, families: Sequence[Family], work: Path) -> None:
 class _FamilyTrials:
     """The policies of a family's simulations, learned and tried on its robots.
 
+    All begin in the simulation as it was; each seed then goes on for as long again, in that one or in an extended one.
+
     Attributes:
         lines: of table.csv.
         trials: of trials.csv.
@@ -116,6 +120,13 @@ class _FamilyTrials:
         self._options, self._algorithm, self._family, self._output = options, algorithm, family, output
         self.trials: list[pd.DataFrame] = []
         self.found: dict[str, str] = {}
+        self._start_from: dict[int, InitialPolicy] = {}
+        _, begun = self._learned(BEGUN, work / AS_LEARNED)
+        self._start_from = {
+            result.seed: InitialPolicy(f"{family} {BEGUN}, seed {result.seed}", result.weights)
+            for result in begun.seeds
+            if result.weights
+        }
         before = self._learned(AS_LEARNED, work / AS_LEARNED)
         self.lines = [self._line(NOTHING, self._tried(NOTHING, AS_LEARNED, before), None)]
         for name in options.hidden:
@@ -127,7 +138,7 @@ class _FamilyTrials:
 
     def _learned(self, name: str, simulation: Path) -> tuple[Candidate, Learned]:
         candidate = load_candidate(f"{self._family} {name}", str(simulation), self._options)
-        return candidate, learn_in(candidate, self._options, self._output)
+        return candidate, learn_in(candidate, self._options, self._output, self._start_from)
 
     def _tried(self, hidden: str, learned_in: str, policies: tuple[Candidate, Learned]) -> Trials | None:
         candidate, learned = policies
@@ -142,7 +153,8 @@ class _FamilyTrials:
             effects,
             planned_steps=task.steps,
         )
-        trials = Trials.of(learned.seeds, task, self._algorithm, motion, options.rollouts, options.seed)
+        trial = Trial(task, self._algorithm, motion, options.rollouts, options.seed)
+        trials = Trials.of(learned.seeds, trial, options.processes)
         if trials:
             rows = pd.DataFrame(trials.rows())
             about = {"family": self._family, "hidden": hidden, "simulation": learned_in}

@@ -11,8 +11,9 @@ from swarmtwin.plotting import MEASURED, PREDICTED, style
 from swarmtwin.studies.study_table import StudyTable
 
 CAPTION = (
-    "policies learned in the simulation as it was, and in the one that the diagnosis extended, tried on the same "
-    "robots from the same starts; nothing hidden: the former where the simulation is right; reward a vehicle and step; "
+    "policies learned in the simulation as it was, that went on for as long again in it, and in the one that the "
+    "diagnosis extended, tried on the same robots from the same starts; nothing hidden: the former where the "
+    "simulation is right; reward a vehicle and step; "
     "95 % intervals over seeds of learning and starts; * where the interval of a gain leaves out zero"
 )
 

@@ -1,17 +1,43 @@
 """Policies tried on robots with something hidden in them: what each roll-out gave, and what an extension gains."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from scipy.stats import t
 
+from swarmtwin.learning.device import one_thread
+from swarmtwin.learning.parallel import Report, run_side_by_side
 from swarmtwin.policies.algorithm import AlgorithmConfig
 from swarmtwin.policies.rollout_comparison import draw_scenarios
 from swarmtwin.policies.training import SeedResult, policy_of
 from swarmtwin.world.motion import Motion
 from swarmtwin.world.rollout import NEVER, play
 from swarmtwin.world.task import Task
+
+RATES = ("success", "collision")
+"""Quantities that are yes or no in each roll-out."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How a policy is tried.
+
+    Attributes:
+        task: that it learned.
+        algorithm: that taught it.
+        motion: gives what moves the vehicles, with the same chances each time.
+        rollouts: W.
+        seed: of the starts.
+    """
+
+    task: Task
+    algorithm: AlgorithmConfig
+    motion: Callable[[], Motion]
+    rollouts: int
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -31,24 +57,13 @@ class Trials:
     reward: np.ndarray
 
     @classmethod
-    def of(
-        cls,
-        results: tuple[SeedResult, ...],
-        task: Task,
-        algorithm: AlgorithmConfig,
-        motion: Callable[[], Motion],
-        rollouts: int,
-        seed: int,
-    ) -> Self | None:
-        """Roll out the policies of all seeds; None where all diverged before they were first evaluated.
+    def of(cls, results: Sequence[SeedResult], trial: "Trial", processes: int | None) -> Self | None:
+        """Roll out the policies of all seeds, so many at a time; None where all diverged before they were evaluated.
 
         Args:
             results: of the seeds; those that diverged so early are left out.
-            task: that they learned.
-            algorithm: that taught them.
-            motion: gives what moves the vehicles, with the same chances each time.
-            rollouts: W.
-            seed: of the starts.
+            trial: of each policy.
+            processes: at a time; None: as many as there are cores.
 
         Raises:
             UserError: a policy gives a command that is not finite.
@@ -56,14 +71,9 @@ class Trials:
         able = [result for result in results if result.weights]
         if not able:
             return None
-        scenario = draw_scenarios(task, rollouts, "rollout", seed)
-        played = [play(task, motion(), scenario, policy_of(task, algorithm, result).act) for result in able]
-        return cls(
-            seeds=tuple(result.seed for result in able),
-            success=np.stack([one.success for one in played]),
-            collision=np.stack([one.collided_step != NEVER for one in played]),
-            reward=np.stack([one.mean_reward for one in played]),
-        )
+        played = run_side_by_side([_TrialJob(trial, result) for result in able], None, processes)
+        success, collision, reward = (np.stack(values) for values in zip(*played, strict=True))
+        return cls(tuple(result.seed for result in able), success, collision, reward)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return each roll-out as a line of trials.csv."""
@@ -80,35 +90,63 @@ class Trials:
         ]
 
     def mean(self, quantity: str) -> "Estimate":
-        """Return the mean of a quantity with its interval."""
-        return Estimate.of(getattr(self, quantity))
+        """Return the mean of a quantity with its interval; a success rate stays between 0 and 1."""
+        estimate = Estimate.of(getattr(self, quantity))
+        return estimate.within(0.0, 1.0) if quantity in RATES else estimate
 
     def gain(self, quantity: str, before: "Trials") -> "Estimate":
-        """Return by how much the mean of a quantity is above that of other trials from the same starts."""
-        return Estimate.of(getattr(self, quantity), getattr(before, quantity))
+        """Return by how much the mean of a quantity is above that of other trials, of the same seeds and starts.
+
+        A seed that only one of them has is left out.
+        """
+        after_of, before_of = (dict(zip(one.seeds, getattr(one, quantity), strict=True)) for one in (self, before))
+        differences = [after_of[seed] - 1.0 * before_of[seed] for seed in self.seeds if seed in before_of]
+        if not differences:
+            return Estimate(math.nan, math.nan, math.nan)
+        estimate = Estimate.of(np.stack(differences))
+        return estimate.within(-1.0, 1.0) if quantity in RATES else estimate
+
+
+class _TrialJob(NamedTuple):
+    """A policy's roll-outs, in a process of their own."""
+
+    trial: Trial
+    result: SeedResult
+
+    def run(self, report: Report | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (W,) whether each succeeded, whether vehicles collided, and its reward a vehicle and step."""
+        trial, task = self.trial, self.trial.task
+        scenario = draw_scenarios(task, trial.rollouts, "rollout", trial.seed)
+        with one_thread():
+            played = play(task, trial.motion(), scenario, policy_of(task, trial.algorithm, self.result).act)
+        return played.success, played.collided_step != NEVER, played.mean_reward
 
 
 class Estimate(NamedTuple):
-    """A figure with its 95 % interval, by bootstrap over seeds of learning and over starts."""
+    """A figure with its 95 % interval over seeds of learning and over starts."""
 
     value: float
     low: float
     high: float
 
     @classmethod
-    def of(cls, values: np.ndarray, less: np.ndarray | None = None, resamples: int = 2000) -> "Estimate":
-        """Return the mean of values (S, W), less that of others (S', W) from the same starts, if there are any."""
-        rng = np.random.default_rng(0)
-        starts = rng.integers(0, values.shape[1], (resamples, values.shape[1]))
-        drawn, value = _resampled(values, starts, rng), float(values.mean())
-        if less is not None:
-            drawn, value = drawn - _resampled(less, starts, rng), value - float(less.mean())
-        low, high = np.quantile(drawn, [0.025, 0.975])
-        return cls(value, float(low), float(high))
+    def of(cls, values: np.ndarray) -> "Estimate":
+        """Return the mean of values (S, W) of S seeds from W starts.
 
+        Seeds are few, and differ by more than starts do: the interval is Student's, with the degrees of freedom of
+        Welch and Satterthwaite, of a variance that is the sum of that of the seeds' means and that of the starts' means
+        (a bootstrap of three seeds would be much too narrow). By what single roll-outs differ beside both it is a
+        little too wide. With a single seed it is over starts alone.
+        """
+        means, value = (values.mean(axis=0), values.mean(axis=1)), float(values.mean())
+        parts = [(float(one.var(ddof=1)) / len(one), len(one) - 1) for one in means if len(one) > 1]
+        variance = sum(part for part, _ in parts)
+        if variance == 0:
+            return cls(value, value, value)
+        freedom = variance**2 / sum(part**2 / degrees for part, degrees in parts)
+        half = float(t.ppf(0.975, freedom)) * math.sqrt(variance)
+        return cls(value, value - half, value + half)
 
-def _resampled(values: np.ndarray, starts: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return means (D,) of values (S, W) at starts (D, W) that were drawn, each over as many seeds, drawn here."""
-    seeds = rng.integers(0, len(values), (len(starts), len(values)))
-    means: np.ndarray = values[seeds[:, :, None], starts[:, None, :]].mean(axis=(1, 2))
-    return means
+    def within(self, least: float, most: float) -> "Estimate":
+        """Return it with an interval that ends where the figure does."""
+        return self._replace(low=max(self.low, least), high=min(self.high, most))

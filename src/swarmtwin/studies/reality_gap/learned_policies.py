@@ -11,10 +11,11 @@ from swarmtwin.files import CHECKPOINTS
 from swarmtwin.learning.device import torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
+from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.learned_folder import history_table, origin_of, save_learned
 from swarmtwin.policies.policy_folder import SimulationOrigin, StoredPolicy, load_policy
 from swarmtwin.policies.schedule import Schedule
-from swarmtwin.policies.training import PolicyJob, SeedResult, learn_all, task_in
+from swarmtwin.policies.training import PolicyJob, SeedResult, best_of, learn_all, task_in
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
@@ -92,13 +93,20 @@ def load_candidate(name: str, reference: str, options: LearningOptions) -> Candi
     return Candidate(name, folder, origin_of(reference, folder), on_device, task)
 
 
-def learn_in(candidate: Candidate, options: LearningOptions, output: Path) -> Learned:
+def learn_in(
+    candidate: Candidate, options: LearningOptions, output: Path, start_from: Mapping[int, InitialPolicy] | None = None
+) -> Learned:
     """Learn a policy with all seeds, going on from the checkpoints in `output`, and save the best in `policies/` there.
 
-    Where all seeds have failed there is no policy: a simulation in which nothing can be learned is a result.
+    Seeds begin with the policies that `start_from` has for them, and from nothing where it has none. Where all seeds
+    have failed there is no policy: a simulation in which nothing can be learned is a result.
     """
     algorithm = algorithm_config(options.policy, "policy")
-    jobs = policy_jobs(candidate, options, algorithm, output / CHECKPOINTS)
+    begun = start_from or {}
+    jobs = [
+        job._replace(initial=begun.get(job.seed))
+        for job in policy_jobs(candidate, options, algorithm, output / CHECKPOINTS)
+    ]
     told = f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}"
     with training_bars(told, jobs[0].schedule.all_steps) as report:
         results = tuple(learn_all(jobs, report))
@@ -106,7 +114,8 @@ def learn_in(candidate: Candidate, options: LearningOptions, output: Path) -> Le
         return Learned(None, "; ".join(f"seed {result.seed}: {result.failed}" for result in results), results)
     folder = output / "policies" / candidate.name
     folder.mkdir(parents=True)
-    save_learned(folder, candidate.task, jobs[0], results, candidate.origin)
+    best = best_of(results).seed
+    save_learned(folder, candidate.task, next(job for job in jobs if job.seed == best), results, candidate.origin)
     return Learned(load_policy(folder, options.robot), None, results)
 
 
