@@ -17,7 +17,8 @@ from swarmtwin.policies.checkpoint import read_checkpoint
 from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.policy import Policy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
-from swarmtwin.policies.training import Learner, best_of, learn_all, policy_of, roll_out_in, task_in
+from swarmtwin.policies.seeds import best_of, learn_all
+from swarmtwin.policies.training import Learner, policy_of, roll_out_in, task_in
 from swarmtwin.robot import Arena
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import mechanism_class

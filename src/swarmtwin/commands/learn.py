@@ -12,7 +12,7 @@ from rich.table import Table
 
 from swarmtwin.diagnosis.measured_ranges import chosen_randomisation
 from swarmtwin.files import CHECKPOINTS, new_folder, output_folder
-from swarmtwin.learning.device import Device, torch_device
+from swarmtwin.learning.device import torch_device
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
 from swarmtwin.policies.initial_policy import InitialPolicy
@@ -20,16 +20,15 @@ from swarmtwin.policies.learned_folder import origin_of, save_learned
 from swarmtwin.policies.policy_folder import PolicyProvenance, StoredPolicy, load_policy
 from swarmtwin.policies.reward_plots import draw_learning
 from swarmtwin.policies.rollout_comparison import Evaluation, draw_scenarios
-from swarmtwin.policies.schedule import Schedule
+from swarmtwin.policies.seeds import LearningOptions, learn_all, policy_jobs
 from swarmtwin.policies.training import (
     LearningReport,
     PolicyJob,
     SeedResult,
-    learn_all,
     task_in,
 )
-from swarmtwin.robot import Arena, Robot, Seed, StrictModel
-from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, TableSettings, tabulated
+from swarmtwin.robot import Arena
+from swarmtwin.simulation.displacement_table import DisplacementTable, TableError, tabulated
 from swarmtwin.simulation.simulation_folder import load_simulation
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.datasets import Dataset
@@ -41,29 +40,14 @@ from swarmtwin.world.rollout import NEVER, Rate, play
 from swarmtwin.world.task import Task, task_config
 
 
-class Options(StrictModel):
+class Options(LearningOptions):
     """Options of `swarmtwin learn`; their defaults stand in conf/learn.yaml."""
 
-    robot: Robot
-    task: dict[str, Any]
     arena_mm: Arena | None
-    policy: dict[str, Any]
     simulation: str | None
     start_from: str | None
-    evaluate_every: Annotated[int, Field(ge=1)]
-    scenes: Annotated[int, Field(ge=1)]
-    finalists: Annotated[int, Field(ge=1)]
-    final_scenes: Annotated[int, Field(ge=1)]
-    starts: Annotated[int, Field(ge=1)]
-    start_steps: Annotated[int, Field(ge=1)]
-    sampled: bool | None
-    tabulated: bool | None
-    table: TableSettings
     randomisation: dict[str, Any] | str | None
     draws: Annotated[int, Field(ge=1)]
-    device: Device
-    seed: Seed
-    seeds: Annotated[int, Field(ge=1)]
     register_model: Annotated[bool, Field(alias="register")]
     pictures: bool
     output: Path | None
@@ -84,7 +68,7 @@ def run(options: Options) -> dict[str, Any]:
     torch_device(options.device)
     table = _table_of(simulation, options)
     randomisation = chosen_randomisation(options.randomisation, load_simulation(simulation), options.draws)
-    initial = _initial(options, task, algorithm)
+    start_from = _start_from(options, task, algorithm)
     origin = origin_of(source, simulation)
     name = f"{options.robot.name}-{task.config.name}-{algorithm.name}"
     output = output_folder(options.output, "learn", f"{name}-seed{options.seed}")
@@ -101,25 +85,8 @@ def run(options: Options) -> dict[str, Any]:
         tracked_run("policy", name, settings, inputs, options.seed) as tracked,
     ):
         started = time.monotonic()
-        first = PolicyJob(
-            robot=options.robot,
-            task=task.config,
-            algorithm=algorithm,
-            schedule=Schedule.of(options, algorithm.steps),
-            simulation=simulation,
-            digest=origin.digest,
-            seed=options.seed,
-            checkpoint=None,
-            sampled=options.sampled,
-            device=options.device,
-            tabulated=options.tabulated,
-            table=options.table,
-            randomisation=randomisation,
-            arena=options.arena_mm,
-            initial=initial,
-        )
-        seeds = range(options.seed, options.seed + options.seeds)
-        jobs = [first._replace(seed=seed, checkpoint=folder / CHECKPOINTS / f"seed-{seed}.ckpt") for seed in seeds]
+        about = (algorithm, task.config, simulation, origin.digest, folder / CHECKPOINTS, "")
+        jobs = policy_jobs(options, *about, start_from, randomisation, options.arena_mm)
         with training_bars(name, jobs[0].schedule.all_steps) as report:
             results = learn_all(jobs, _tracking(tracked, report))
         provenance = save_learned(folder, task, jobs[0], results, origin)
@@ -154,16 +121,16 @@ def _simulation(options: Options) -> tuple[str, Path]:
     return str(folder), folder
 
 
-def _initial(options: Options, task: Task, algorithm: AlgorithmConfig) -> InitialPolicy | None:
-    """Return the policy that learning goes on from; None: it begins from nothing.
+def _start_from(options: Options, task: Task, algorithm: AlgorithmConfig) -> dict[int, InitialPolicy]:
+    """Return the policy that each seed goes on from; nothing: all begin from nothing.
 
     Raises:
         UserError: there is none, it is of another robot, looks at other numbers or has another network.
     """
     if options.start_from is None:
-        return None
+        return {}
     stored = load_policy(model_folder(options.start_from), options.robot)
-    return InitialPolicy.of(options.start_from, stored, task, algorithm)
+    return dict.fromkeys(options.all_seeds, InitialPolicy.of(options.start_from, stored, task, algorithm))
 
 
 def _table_of(simulation: Path, options: Options) -> TableError | None:

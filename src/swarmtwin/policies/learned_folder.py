@@ -13,10 +13,10 @@ from swarmtwin.files import folder_digest, write_text
 from swarmtwin.policies.policy_folder import PolicyProvenance, SeedOutcome, SimulationOrigin, save_policy
 from swarmtwin.policies.rollout_comparison import plain_figures
 from swarmtwin.policies.rollout_folder import ROLLOUTS
+from swarmtwin.policies.seeds import best_of
 from swarmtwin.policies.training import (
     PolicyJob,
     SeedResult,
-    best_of,
     policy_of,
     tested,
 )

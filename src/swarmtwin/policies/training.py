@@ -2,9 +2,8 @@
 
 import hashlib
 import json
-import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +14,6 @@ from stable_baselines3.common.logger import Logger
 
 from swarmtwin.errors import UserError
 from swarmtwin.learning.device import Device, one_thread, torch_device
-from swarmtwin.learning.parallel import run_side_by_side
 from swarmtwin.policies.algorithm import AlgorithmConfig
 from swarmtwin.policies.checkpoint import (
     Content,
@@ -43,8 +41,6 @@ from swarmtwin.world.rollout import Rollout, play, roll_out
 from swarmtwin.world.scenario import Scenario
 from swarmtwin.world.task import Task, TaskConfig
 from swarmtwin.world.world import World
-
-log = logging.getLogger(__name__)
 
 LearningReport = Callable[[int, int, Evaluation | None], None]
 """Called now and then with the seed, the control periods done, and the last evaluation."""
@@ -374,30 +370,6 @@ def task_in(
     built = task.build(robot, arena or loaded.conditions.arena_mm)
     World(built, SimulatedMotion(loaded, 1, built.vehicles, sampled), 1, 0)
     return built
-
-
-def learn_all(
-    jobs: Sequence[PolicyJob], report: LearningReport | None = None, processes: int | None = None
-) -> list[SeedResult]:
-    """Learn with all seeds, `processes` at a time; None: as many as there are cores."""
-    results = run_side_by_side(jobs, report, processes)
-    for result in results:
-        if result.failed:
-            log.warning("seed %d has failed: %s", result.seed, result.failed)
-    return results
-
-
-def best_of(results: Sequence[SeedResult]) -> SeedResult:
-    """Return the seed with most success in the final scenarios, of equal ones that with the highest reward.
-
-    Raises:
-        UserError: every seed has failed.
-    """
-    usable = [(result.best.rank, result) for result in results if result.best and not result.failed]
-    if not usable:
-        reasons = "; ".join(f"seed {result.seed}: {result.failed}" for result in results)
-        raise UserError(f"every seed has failed ({reasons}): learn longer, try other seeds, or another algorithm")
-    return max(usable, key=lambda ranked: ranked[0])[1]
 
 
 def policy_of(task: Task, algorithm: AlgorithmConfig, result: SeedResult) -> Policy:

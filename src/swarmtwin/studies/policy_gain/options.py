@@ -5,8 +5,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
+from swarmtwin.policies.seeds import Count, LearningOptions
 from swarmtwin.studies.hidden_effects.study import Lengths
-from swarmtwin.studies.reality_gap.options import Count, LearningOptions, Name
+from swarmtwin.studies.reality_gap.options import Name
 from swarmtwin.transitions.inputs import as_texts
 
 Words = Annotated[tuple[str, ...], BeforeValidator(as_texts), Field(min_length=1)]

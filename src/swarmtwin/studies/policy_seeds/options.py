@@ -5,7 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from swarmtwin.studies.reality_gap.options import Count, LearningOptions, Name, StandIns
+from swarmtwin.policies.seeds import Count, LearningOptions
+from swarmtwin.studies.reality_gap.options import Name, StandIns
 
 SIMULATION = "simulation"
 

@@ -8,18 +8,18 @@ import pandas as pd
 from rich.console import Console
 
 from swarmtwin.diagnosis.measured_ranges import chosen_randomisation
-from swarmtwin.files import CHECKPOINTS, check_output, new_folder, write_text
+from swarmtwin.files import check_output, new_folder, write_text
 from swarmtwin.learning.parallel import run_side_by_side
 from swarmtwin.learning.progress_bars import training_bars
 from swarmtwin.policies.algorithm import algorithm_config
 from swarmtwin.policies.learned_folder import history_table
 from swarmtwin.policies.rollout_comparison import check_count
-from swarmtwin.policies.training import best_of
+from swarmtwin.policies.seeds import best_of
 from swarmtwin.studies.policy_seeds.options import SIMULATION, Options
 from swarmtwin.studies.policy_seeds.seed_trial import SeedJob, SeedTrial
 from swarmtwin.studies.policy_seeds.table import draw_seeds, reached, seeds_table
 from swarmtwin.studies.reality_gap.gap_rollouts import figure_columns
-from swarmtwin.studies.reality_gap.learned_policies import load_candidate, policy_jobs
+from swarmtwin.studies.reality_gap.learned_policies import load_candidate
 from swarmtwin.studies.reality_gap.same_starts import stand_in_motions
 from swarmtwin.tracking.datasets import Dataset
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
@@ -64,7 +64,7 @@ def run(options: Options) -> dict[str, Any]:
                 start_seed=options.seed,
                 folder=folder / "policies" / f"seed-{learning.seed}",
             )
-            for learning in policy_jobs(candidate, options, algorithm, folder / CHECKPOINTS, randomisation)
+            for learning in candidate.jobs(options, folder, randomisation=randomisation)
         ]
         with training_bars(name, jobs[0].learning.schedule.all_steps) as report:
             trials = run_side_by_side(jobs, report, options.processes)

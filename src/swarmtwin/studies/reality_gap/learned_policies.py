@@ -10,16 +10,16 @@ from swarmtwin.errors import UserError
 from swarmtwin.files import CHECKPOINTS
 from swarmtwin.learning.device import torch_device
 from swarmtwin.learning.progress_bars import training_bars
-from swarmtwin.policies.algorithm import AlgorithmConfig, algorithm_config
+from swarmtwin.policies.algorithm import algorithm_config
 from swarmtwin.policies.initial_policy import InitialPolicy
 from swarmtwin.policies.learned_folder import history_table, origin_of, save_learned
 from swarmtwin.policies.policy_folder import SimulationOrigin, StoredPolicy, load_policy
-from swarmtwin.policies.schedule import Schedule
-from swarmtwin.policies.training import PolicyJob, SeedResult, best_of, learn_all, task_in
+from swarmtwin.policies.seeds import LearningOptions, best_of, learn_all, policy_jobs
+from swarmtwin.policies.training import PolicyJob, SeedResult, task_in
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.simulation.randomisation import Randomisation
 from swarmtwin.simulation.simulation import Simulation
-from swarmtwin.studies.reality_gap.options import GapOptions, LearningOptions
+from swarmtwin.studies.reality_gap.options import GapOptions
 from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.world.task import Task, task_config
 
@@ -41,6 +41,18 @@ class Candidate:
     origin: SimulationOrigin
     simulation: Simulation
     task: Task
+
+    def jobs(
+        self,
+        options: LearningOptions,
+        output: Path,
+        start_from: Mapping[int, InitialPolicy] | None = None,
+        randomisation: Randomisation | None = None,
+    ) -> list[PolicyJob]:
+        """Return a job for each seed that learns in it, going on from its checkpoint in the `output` of a command."""
+        algorithm = algorithm_config(options.policy, "policy")
+        about = (algorithm, self.task.config, self.folder, self.origin.digest, output / CHECKPOINTS, f"{self.name}-")
+        return policy_jobs(options, *about, start_from, randomisation)
 
 
 @dataclass(frozen=True)
@@ -101,12 +113,7 @@ def learn_in(
     Seeds begin with the policies that `start_from` has for them, and from nothing where it has none. Where all seeds
     have failed there is no policy: a simulation in which nothing can be learned is a result.
     """
-    algorithm = algorithm_config(options.policy, "policy")
-    begun = start_from or {}
-    jobs = [
-        job._replace(initial=begun.get(job.seed))
-        for job in policy_jobs(candidate, options, algorithm, output / CHECKPOINTS)
-    ]
+    jobs = candidate.jobs(options, output, start_from)
     told = f"{options.robot.name}-{candidate.task.config.name} in {candidate.name}"
     with training_bars(told, jobs[0].schedule.all_steps) as report:
         results = tuple(learn_all(jobs, report))
@@ -122,34 +129,3 @@ def learn_in(
 def learning_table(learned: Mapping[str, Learned]) -> pd.DataFrame:
     """Return learning.csv: the evaluations of all seeds in all simulations while they learned."""
     return pd.concat([one.history.assign(simulation=name) for name, one in learned.items()])
-
-
-def policy_jobs(
-    candidate: Candidate,
-    options: LearningOptions,
-    algorithm: AlgorithmConfig,
-    checkpoints: Path,
-    randomisation: Randomisation | None = None,
-) -> list[PolicyJob]:
-    """Return a job for each seed that learns in a simulation, going on from its checkpoint in a folder.
-
-    What `randomisation` says differs from roll-out to roll-out.
-    """
-    schedule = Schedule.of(options, algorithm.steps)
-    first = PolicyJob(
-        robot=options.robot,
-        task=candidate.task.config,
-        algorithm=algorithm,
-        schedule=schedule,
-        simulation=candidate.folder,
-        digest=candidate.origin.digest,
-        seed=options.seed,
-        checkpoint=None,
-        sampled=options.sampled,
-        device=options.device,
-        tabulated=options.tabulated,
-        table=options.table,
-        randomisation=randomisation,
-    )
-    seeds = range(options.seed, options.seed + options.seeds)
-    return [first._replace(seed=seed, checkpoint=checkpoints / f"{candidate.name}-seed-{seed}.ckpt") for seed in seeds]

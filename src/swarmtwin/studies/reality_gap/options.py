@@ -5,13 +5,11 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from swarmtwin.learning.device import Device
-from swarmtwin.robot import Robot, Seed, StrictModel
-from swarmtwin.simulation.displacement_table import TableSettings
+from swarmtwin.policies.seeds import Count, LearningOptions
+from swarmtwin.robot import StrictModel
 from swarmtwin.transitions.inputs import as_texts
 from swarmtwin.world.rollout import Show
 
-Count = Annotated[int, Field(ge=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_ .-]*$")]
 """Of a simulation or of a group of stand-ins: a part of file names and of MLflow's metrics."""
 
@@ -40,26 +38,6 @@ class PublishedRow(StrictModel):
     simulator: tuple[float, float]
     real_world: tuple[float, float]
     success: float | None = None
-
-
-class LearningOptions(StrictModel):
-    """How policies are learned in simulations that are compared; what each option is stands in table5.yaml."""
-
-    robot: Robot
-    task: dict[str, Any]
-    policy: dict[str, Any]
-    evaluate_every: Count
-    scenes: Count
-    finalists: Count
-    final_scenes: Count
-    starts: Count
-    start_steps: Count
-    sampled: bool | None
-    tabulated: bool | None
-    table: TableSettings
-    device: Device
-    seed: Seed
-    seeds: Count
 
 
 class GapOptions(LearningOptions):
