@@ -118,7 +118,7 @@ def test_learning_goes_on_from_a_policy(swarmtwin, model, workshop):
         (["start_from=nowhere"], "no model folder nowhere: give a folder, models:/NAME@ALIAS or models:/NAME/VERS"),
         (
             ["start_from=still", "policy.layers=[8]"],
-            "start_from=still: its network is another than that of policy.name",
+            "start_from=still: its network is another than that of policy=ddpg",
         ),
         (["start_from=still", "task.sees_commands=1"], "start_from=still: that policy, of task 'obstacle', looks at"),
     ],

@@ -38,11 +38,10 @@ class InitialPolicy(NamedTuple):
                 "that it was learned with, or leave start_from out"
             )
         if stored.policy.architecture != algorithm.architecture:
-            had = stored.policy.architecture
+            layers = ",".join(str(width) for width in stored.policy.architecture.layers)
             raise UserError(
-                f"start_from={source}: its network is another than that of policy.name={algorithm.name}: it has "
-                f"policy.layers={list(had.layers)}, {had.activation} and {had.squashing}, and was learned by "
-                f"{stored.provenance.algorithm['name']}"
+                f"start_from={source}: its network is another than that of policy={algorithm.name}: learn with "
+                f"policy={stored.provenance.algorithm['name']} policy.layers=[{layers}], as it was learned"
             )
         return cls(source, {name: tensor.numpy().copy() for name, tensor in stored.policy.state_dict().items()})
 
