@@ -20,6 +20,7 @@ from swarmtwin.studies.hidden_effects.results import (
     Baselines,
     TrueModelAnswer,
     append_result,
+    confidences_table,
     filled,
     parameters_table,
     read_results,
@@ -496,3 +497,22 @@ def test_what_is_told_in_another_unit_than_it_is_hidden_in_is_not_compared(famil
     causes = (planted.causes[0].model_copy(update={"parameters": estimates, "form": form}),)
     planted = planted.model_copy(update={"true_causes": {cause: said}, "causes": causes})
     assert parameters_table([planted]).same_unit.tolist() == [is_same]
+
+
+def test_what_another_unit_has_of_itself_counts_neither_for_nor_against_who_names_it():
+    about = {"family": "unruly", "same_vehicle": False}
+    results = [
+        result("clean", "plain", ["marker_offset"], **about),
+        result("clean", "plain", ["marker_offset", "dead_band"], **about),
+        result("clean", "plain", ["marker_offset"], family="unruly"),
+        result("one", "dead_band", ["dead_band", "marker_offset"], **about),
+        result("one", "marker_offset", ["marker_offset"], **about),
+        result("one", "marker_offset", ["dead_band"], **about),
+        result("outside", "whirl", ["marker_offset"], **about),
+    ]
+    table = results_table(results)
+    assert table.named.tolist() == ["", "dead_band", "marker_offset", "dead_band", "marker_offset", "dead_band", ""]
+    assert table.found.tolist() == [False, True, True, True, True, True, True]
+    assert table.exact.tolist()[3:6] == [True, True, False]
+    assert table.falsely_named.tolist()[3:6] == [False, False, True]
+    assert confidences_table(results).true.tolist() == [True, True, False, False, True, True, True, False, True]

@@ -23,6 +23,7 @@ def confusion(results: pd.DataFrame) -> pd.DataFrame:
     one = results[results.kind.isin(["one", "misspecified", "outside", "clean"])]
     hidden = one.about.where(one.kind != "clean", "nothing wrong")
     silent = one.verdict.map({"unexplained": "no name", "explained": "no name", "no_gap": "nothing wrong"})
+    silent = silent.mask(~one.found.astype(bool) & silent.notna(), "nothing wrong")
     first = one.named.str.split("+").str[0]
     named = first.where(first != "", silent.fillna("failed"))
     others = sorted(set(first) - {"", *CATALOGUE})

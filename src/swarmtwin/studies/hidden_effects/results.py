@@ -116,11 +116,28 @@ class Result(StrictModel):
     memory_mb: float | None = None
 
 
+UNITS_DIFFER: dict[str, tuple[str, ...]] = {"unruly": ("marker_offset",)}
+"""Causes by which units of a family differ of themselves: each unruly one has its marker glued on elsewhere."""
+
+
+def _of_the_unit(result: Result) -> tuple[str, ...]:
+    """Return the causes by which the vehicle differs of itself from the one that was learned from."""
+    return () if result.same_vehicle else UNITS_DIFFER.get(result.case.family, ())
+
+
+def _counted(result: Result, names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names less those of causes that are there though nobody hid them."""
+    return tuple(name for name in names if name in result.case.true_names or name not in _of_the_unit(result))
+
+
 def results_table(results: Sequence[Result]) -> pd.DataFrame:
     """Return one row a case: what was hidden, what the diagnosis and the other methods made of it.
 
+    Causes by which another unit differs of itself are there, though nobody hid them: they count neither for nor against
+    who names them (see `UNITS_DIFFER`).
+
     Columns:
-        found: the diagnosis said that something is wrong.
+        found: the diagnosis said that something is wrong, beyond what another unit is itself.
         named_first: the first cause named is a true one.
         listed: every true cause is named, or a rival of one that is.
         times_limit: see `Result`.
@@ -136,10 +153,11 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
 
 def _row(result: Result) -> dict[str, Any]:
     case, others, true = result.case, result.baselines, result.case.true_names
-    named = tuple(cause.name for cause in result.causes)
+    named = _counted(result, [cause.name for cause in result.causes])
+    accounted_for = result.verdict == "explained" and case.kind == "clean" and not named
     rivals = tuple(rival for cause in result.causes for rival in cause.rivals)
-    fitted = others.fitted if others else ()
-    rule = (others.rule,) if others and others.rule else ()
+    fitted = _counted(result, others.fitted) if others else ()
+    rule = _counted(result, (others.rule,)) if others and others.rule else ()
     black_box = others.black_box if others else None
     return {
         "family": case.family,
@@ -150,13 +168,13 @@ def _row(result: Result) -> dict[str, Any]:
         "verdict": result.verdict or "failed",
         "named": "+".join(named),
         "rivals": "+".join(rivals),
-        "found": result.verdict in ("explained", "unexplained"),
+        "found": result.verdict in ("explained", "unexplained") and not accounted_for,
         "named_first": bool(set(named[:1]) & set(true)),
         "listed": bool(true) and set(true) <= {*named, *rivals},
         "exact": result.verdict is not None and sorted(named) == sorted(true),
         "falsely_named": bool(set(named) - set(true)),
         "likeliest": "+".join(result.likeliest),
-        "likeliest_true": bool(true) and sorted(result.likeliest) == sorted(true),
+        "likeliest_true": bool(true) and sorted(_counted(result, result.likeliest)) == sorted(true),
         "depends_on": "+".join(result.depends_on),
         **{name: getattr(result.gained, name, None) for name in HeldOutGain.model_fields},
         "times_limit": result.times_limit,
@@ -184,7 +202,7 @@ def _row_of_true_model(result: Result) -> dict[str, Any]:
     answer = result.true_model
     if answer is None:
         return {"true_model_method": ""}
-    named, true = tuple(answer.causes), result.case.true_names
+    named, true = _counted(result, tuple(answer.causes)), result.case.true_names
     return {
         "true_model_method": answer.method,
         "true_model": "+".join(named),
@@ -261,11 +279,14 @@ def _parameters(result: Result) -> Iterator[dict[str, Any]]:
 def _beside_truth(
     result: Result, cause: str, said: Mapping[str, dict[str, Any]], told_of: str = ""
 ) -> Iterator[dict[str, Any]]:
-    """Return what is said of each parameter of a cause, its `value` among it, beside what is true of it."""
+    """Return what is said of each parameter of a cause, its `value` among it, beside what is true of it.
+
+    What is hidden beside what the unit itself has is not compared: both are told together.
+    """
     case = result.case
     for name, estimate in said.items():
         true = result.true_causes.get(cause, {}).get(name)
-        if true is None:
+        if true is None or cause in _of_the_unit(result):
             continue
         if name == "direction_rad":  # the same direction, as near to what is said as it can be told
             true = estimate["value"] + float(wrap_angle(np.array(true - estimate["value"])))
@@ -286,7 +307,11 @@ def _size(name: str, true: Mapping[str, float]) -> float:
 def confidences_table(results: Sequence[Result]) -> pd.DataFrame:
     """Return one row a cause that was named: `family`, the `confidence` it was named with, and whether it is `true`."""
     rows = [
-        {"family": result.case.family, "confidence": cause.confidence, "true": cause.name in result.case.true_names}
+        {
+            "family": result.case.family,
+            "confidence": cause.confidence,
+            "true": cause.name in (*result.case.true_names, *_of_the_unit(result)),
+        }
         for result in results
         for cause in result.causes
     ]
