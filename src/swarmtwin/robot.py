@@ -52,6 +52,10 @@ class Arena(StrictModel):
         """The upper corner, (2,)."""
         return np.array([self.x[1], self.y[1]])
 
+    def __str__(self) -> str:
+        """Return its bounds as messages say them."""
+        return f"x {self.x[0]:g} to {self.x[1]:g}, y {self.y[0]:g} to {self.y[1]:g} mm"
+
 
 class CommandColumn(StrictModel):
     """One number of a command: its limits, inclusive, and its unit."""

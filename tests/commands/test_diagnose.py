@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from swarmtwin.commands.app import run_command
+from swarmtwin.diagnosis import extension
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.saved_diagnosis import read_result
@@ -154,6 +155,19 @@ def test_what_held_out_runs_do_not_confirm_is_neither_named_nor_kept_nor_registe
     assert "held-out runs do not confirm" in capfd.readouterr().out
     assert not (output / "simulation").exists()
     assert versions("mgr-dynamics") == known
+
+
+@pytest.mark.end_to_end
+def test_what_is_not_measurably_better_in_open_loop_is_kept_and_not_registered(drives, tmp_path, capfd, monkeypatch):
+    said = "in open loop over ten periods it is not measurably better"
+    monkeypatch.setattr(extension, "not_shown_in_open_loop", lambda *given: said)
+    known, output = versions("mgr-dynamics"), tmp_path / "diagnosis"
+    given = (f"reference={drives / 'reference'}", f"measured={drives / 'sag'}")
+    call("diagnose", "robot=mgr", *given, *QUICK, f"output={output}")
+    assert (output / "simulation").exists()
+    assert versions("mgr-dynamics") == known
+    assert f"extended simulation not registered: {said}" in capfd.readouterr().out
+    assert f"The extension is kept, but not registered: {said}." in (output / "report.html").read_text()
 
 
 def test_the_report_stands_alone(diagnosed):

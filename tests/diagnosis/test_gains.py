@@ -9,12 +9,21 @@ from diagnosis_factories import DELAY, made_result, made_session
 from scipy import stats
 
 from swarmtwin.diagnosis.diagnose import read_off_clock
-from swarmtwin.diagnosis.gains import Errors, gain_by_loss, gains, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.gains import (
+    Errors,
+    gain_by_loss,
+    gains,
+    likelihood_gain,
+    not_confirmed,
+    not_shown_in_open_loop,
+    scored_tracks,
+)
 from swarmtwin.diagnosis.open_loop_pieces import pieces
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report import page
 from swarmtwin.diagnosis.result import Gain, Gains
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
+from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena
 from swarmtwin.simulation.mechanism import mechanism_class
@@ -105,6 +114,18 @@ def test_the_recordings_own_arena_counts_not_the_robots_usual_one(recordings):
     assert reference.comparable(measured).session.conditions.arena_mm == arena
 
 
+def test_another_arena_is_refused_where_the_simulation_looks_at_poses_and_nowhere_else(recordings):
+    known, measured = recordings[0], in_larger_arena(recordings[1])[0]
+    by_command = Reference.learn(from_recording(known)[0], 1, ("command",))
+    assert by_command.comparable(measured).set_aside == 0
+    by_pose = Reference.learn(from_recording(known)[0], 1, ("command", "pose"))
+    assert by_pose.comparable(recordings[1]).set_aside == 0
+    with pytest.raises(
+        UserError, match=r"another arena \(x -200 to 1230, y -200 to 1230 mm\).*measure in the same arena"
+    ):
+        by_pose.comparable(measured)
+
+
 def test_the_report_draws_the_recordings_own_walls(tmp_path, monkeypatch):
     session = made_session(made_result("no_gap"))
     arena = Arena(x=(-300.0, 1500.0), y=(0.0, 900.0))
@@ -175,6 +196,22 @@ def test_lost_commands_of_another_vehicle_are_confirmed_by_likelihood():
     assert not_confirmed(gain, BETTER, immaterial=0.01, moves=False) is None
     assert not_confirmed(gain, NEITHER, immaterial=0.01, moves=False) == "they are not measurably more likely with it"
     assert "neither position nor orientation" in not_confirmed(gain, BETTER, immaterial=0.01)
+
+
+@pytest.mark.parametrize(
+    ("ten_periods", "moves", "said"),
+    [
+        (BETTER, True, None),
+        (NEITHER, True, "in open loop over ten periods it is not measurably better"),
+        (NEITHER, False, None),
+        (Gain(before=0, after=0, low=0, high=0), True, "no held-out run is long enough"),
+        (None, True, None),
+    ],
+)
+def test_what_is_not_measurably_better_in_open_loop_is_not_registered(ten_periods, moves, said):
+    gain = Gains(position_mm=BETTER, orientation_deg=BETTER, open_loop_mm=BETTER, ten_periods_mm=ten_periods)
+    found = not_shown_in_open_loop(gain, moves)
+    assert found == said if said is None else found.startswith(said)
 
 
 def test_what_the_clock_shows_is_named_whatever_an_extension_by_it_is_worth():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from exact_base import ExactBase, as_simulated, known_noise, session_of
 
-from swarmtwin.diagnosis.cause_report import reported_causes
+from swarmtwin.diagnosis.cause_report import likeliest_causes, reported_causes
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.explanation import explanation
@@ -56,7 +56,10 @@ def test_driving_what_is_planned_tells_the_rivals_apart(base):
 
 def test_the_evidence_says_by_how_much_the_nearest_rival_is_behind(base):
     found = explained(base, late, 4)
-    [cause] = reported_causes(found, np.random.default_rng(0))
+    likeliest = likeliest_causes(found, np.random.default_rng(0))
+    assert [one.name for one in likeliest] == ["command_delay"]
+    [cause] = reported_causes(found, likeliest)
+    assert (cause.parameters, cause.form) == (likeliest[0].parameters, likeliest[0].form)
     forms = zip(found.posterior.sets, found.posterior.log_probability, strict=True)
     sets = dict(reversed([(one.names, log) for one, log in forms]))  # of several forms the likeliest, which comes first
     behind = sets["command_delay",] - sets["actuator_lag",]

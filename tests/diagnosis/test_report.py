@@ -34,7 +34,15 @@ from swarmtwin.diagnosis.report.sentences import (
     odds_words,
     verdict_words,
 )
-from swarmtwin.diagnosis.result import CauseSet, Dependence, DetectionLimit, Estimate, Gain, UnitDifference
+from swarmtwin.diagnosis.result import (
+    CauseSet,
+    Dependence,
+    DetectionLimit,
+    Estimate,
+    EstimatedCause,
+    Gain,
+    UnitDifference,
+)
 from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, read_result, save_findings
 from swarmtwin.kinematics import differential_drive
 from swarmtwin.simulation.conditions import SessionConditions
@@ -153,6 +161,14 @@ def test_the_posterior_is_drawn_with_readable_labels_and_what_it_says():
     assert posterior_figure(()) is None
 
 
+def test_what_is_likeliest_is_told_with_its_values_where_it_is_not_named(tmp_path):
+    likeliest = tuple(EstimatedCause(name=one.name, parameters=one.parameters) for one in (DELAY, YAW))
+    about = {"causes": (), "extension": "learned_residual", "posterior": POSTERIOR, "likeliest": likeliest}
+    unnamed = page_of(made_session(made_result("unexplained", **about), moved_late), tmp_path).above
+    said = "commands act 0.15 s (0.13 to 0.17) late; the marker is turned by 5.7° (4.6 to 6.9) to the right on the vehicle."
+    assert f"none is named. If the likeliest set were all that is wrong: {said}" in unnamed
+
+
 def test_at_most_eight_sets_are_drawn_nothing_wrong_among_them():
     many = [CauseSet(causes=(f"cause_{number}",), probability=0.09, log_evidence=1.0) for number in range(11)]
     nothing = CauseSet(causes=(), probability=1e-9, log_evidence=0.0)
@@ -166,7 +182,7 @@ def test_a_result_of_before_there_was_a_posterior_is_still_read(tmp_path):
     save_findings(tmp_path, made_session(diagnosis, moved_late))
     assert read_result(tmp_path).posterior == POSTERIOR
     content = json.loads((tmp_path / "diagnosis.json").read_text())
-    del content["posterior"]
+    del content["posterior"], content["likeliest"]
     for limit in content["detection_limits"]:
         del limit["rival"]
     del content["next_recording"]["lowers"]

@@ -1,9 +1,11 @@
 """Recordings judged as a whole: mistakes are refused or warned of, what is unusual and sound is not refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import whole_recordings
-from whole_recordings import Judged, headed, in_unit, posed, scaled, sound, timed, write
+from whole_recordings import Judged, headed, in_unit, logged, posed, scaled, sound, timed, write
 
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
@@ -113,3 +115,25 @@ def test_a_recording_without_commands_is_not_judged_by_them(judged, recwarn):
     recording = whole_recordings.commanded(lambda command: command * np.nan)(sound("mgr", seed=3))
     assert judged(recording)[0] == TRUSTED
     assert not recwarn.list
+
+
+@pytest.mark.parametrize("robot", ["mgr", "mur", "create"])
+@pytest.mark.parametrize(
+    ("ahead_s", "outcome", "said"),
+    [
+        (0.0, TRUSTED, ""),
+        (0.05, TRUSTED, ""),
+        (7.3, REFUSED, "other commands were in force than the rows of vehicle '1' have: bring the times"),
+        (-7.3, REFUSED, "other commands were in force"),
+        (1.8e9, REFUSED, "no command of vehicle '1' in the time of any of its rows"),
+    ],
+)
+def test_a_log_of_commands_by_another_clock_is_refused(judged, robot, ahead_s, outcome, said):
+    found, text = judged(logged(ahead_s)(sound(robot, seed=3)))
+    assert (found, said in text) == (outcome, True), text
+
+
+def test_a_log_that_a_person_has_looked_at_is_a_warning(judged):
+    recording = logged(7.3)(sound("mgr", seed=3))
+    header = recording.header.model_copy(update={"accept": ("clock",)})
+    assert judged(replace(recording, header=header))[0] == WARNED

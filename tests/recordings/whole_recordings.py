@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from swarmtwin.recordings.recording import Header, Recording, Track
+from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Track
+from swarmtwin.recordings.sent_commands import write_sent_commands
 from swarmtwin.robot import Arena, Robot
 from swarmtwin.standin.drive_commands import Operator
 from swarmtwin.standin.session import StandInSession
@@ -21,6 +22,7 @@ from swarmtwin.studies.hidden_effects.sessions import sized_entry
 from swarmtwin.studies.stand_in_recording import record
 
 SEED = 20261122
+TIMED = ("time_s", "command")
 ROBOTS = {name: Robot.load(Path(__file__).parents[2] / f"conf/robot/{name}.yaml") for name in ("mgr", "mur", "create")}
 Edit = Callable[[Recording], Recording]
 
@@ -84,7 +86,24 @@ def write(recording: Recording, folder: Path) -> Path:
             for track in tracks
         ]
         pd.concat(tables).sort_values("time_s", kind="stable").to_parquet(folder / "runs" / f"{run}.parquet")
+    if recording.sent:
+        write_sent_commands(folder / SENT_FILE, recording.robot, recording.sent)
     return folder
+
+
+def logged(ahead_s: float) -> Edit:
+    """Keep a log of the commands, at the times they were sent by a clock that is so far ahead."""
+
+    def apply(recording: Recording) -> Recording:
+        sent = {}
+        for vehicle in recording.vehicles:
+            tracks = [track for track in recording.tracks if track.vehicle == vehicle]
+            time_s, command = (np.concatenate([getattr(track, name) for track in tracks]) for name in TIMED)
+            given = np.isfinite(command).all(axis=1)
+            sent[vehicle] = time_s[given] + ahead_s, command[given]
+        return replace(recording, sent=sent)
+
+    return apply
 
 
 def posed(change: Callable[[np.ndarray], np.ndarray]) -> Edit:

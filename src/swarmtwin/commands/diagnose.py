@@ -130,6 +130,8 @@ def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: 
         return "the simulation stands as it is"
     if diagnosed.result.not_confirmed:
         return f"the simulation stands as it is, nothing is registered: {diagnosed.result.not_confirmed}"
+    if diagnosed.result.not_registered:
+        return f"extended simulation not registered: {diagnosed.result.not_registered}"
     if not options.register_model:
         return "extended simulation not registered"
     folder = output / EXTENDED

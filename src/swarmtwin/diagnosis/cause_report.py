@@ -1,5 +1,7 @@
 """Step 4. Causes as they are reported: parameters with intervals, confidence, rivals, evidence, and what would show."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
@@ -7,26 +9,34 @@ from swarmtwin.diagnosis.estimation import EstimatedSet
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange
-from swarmtwin.diagnosis.result import Cause, CauseSet, Estimate
+from swarmtwin.diagnosis.result import Cause, CauseSet, Estimate, EstimatedCause
 from swarmtwin.simulation.mechanism import Mechanism
 
 
-def reported_causes(explained: Explanation, rng: np.random.Generator) -> tuple[Cause, ...]:
-    """Return the causes that stand, by share of the gap."""
+def likeliest_causes(explained: Explanation, rng: np.random.Generator) -> tuple[EstimatedCause, ...]:
+    """Return the causes that are the likeliest together, named or not, with intervals drawn by `rng`."""
+    estimates = reported_parameters(explained.model, explained.best, rng)
+    return tuple(
+        EstimatedCause(name=one.name, parameters=estimates[one.name], form=one.form())
+        for one in explained.best.mechanisms
+    )
+
+
+def reported_causes(explained: Explanation, likeliest: Sequence[EstimatedCause]) -> tuple[Cause, ...]:
+    """Return those of the likeliest causes that stand, by share of the gap, and noise that changed."""
     posterior, settings = explained.posterior, explained.model.settings.search
     nats = {name: _missed_nats(explained, name) for name in explained.names}
     total = sum(max(one, 1e-9) for one in nats.values())
-    estimates = reported_parameters(explained.model, explained.best, rng)
     causes = []
-    forms = {mechanism.name: mechanism.form() for mechanism in explained.best.mechanisms}
+    estimated = {one.name: one for one in likeliest}
     for name in explained.names:
         rivals = posterior.rivals(name, settings.rival_from)
         share = explained.share * max(nats[name], 0.0) / max(total, 1e-9)
         causes.append(
             Cause(
                 name=name,
-                parameters=estimates[name],
-                form=forms[name],
+                parameters=estimated[name].parameters,
+                form=estimated[name].form,
                 confidence=posterior.probability(name),
                 rivals=rivals,
                 share_of_gap=float(np.clip(share, 0.0, 1.0)),

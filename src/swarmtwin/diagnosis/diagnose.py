@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from swarmtwin.diagnosis.cause_report import leading_sets, reported_causes
+from swarmtwin.diagnosis.cause_report import leading_sets, likeliest_causes, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
 from swarmtwin.diagnosis.detection_limits import detection_limits
@@ -84,7 +84,8 @@ def diagnose(
     left = [part.by_usual_noise(_errors_shown(part, explained)) for _, part in parts]
     explained_left = [_residual_of(extended, part) for _, part in parts] if extended else left
     after = tests.of_extension(parts[1][1], extended, explained_left[1]) if extended and not objection else []
-    named = reported_causes(explained, rng)
+    likeliest = likeliest_causes(explained, rng)
+    named = reported_causes(explained, likeliest)
     limits = detection_limits(explained, unfitted)
     plan, drive = next_recording(explained, limits, seed)
     result = DiagnosisResult(
@@ -101,9 +102,11 @@ def diagnose(
         transitions={"used": len(session), "set_aside": set_aside} | ({"left_out": left_out} if left_out else {}),
         extension=_extension(extended),
         not_confirmed=_with_names(objection, named) if objection else None,
+        not_registered=None if objection else judged.not_shown,
         units=unit_differences(explained.model, () if objection else explained.mechanisms),
         detection_limits=tuple(one.limit for one in limits),
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
+        likeliest=() if explained.verdict == "no_gap" else likeliest,
         seed=seed,
     )
     rows = [one for one, _ in parts]

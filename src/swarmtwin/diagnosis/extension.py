@@ -8,7 +8,16 @@ import numpy as np
 import torch
 
 from swarmtwin.diagnosis.explanation import Explanation
-from swarmtwin.diagnosis.gains import Errors, Gains, gain_by_loss, gains, likelihood_gain, not_confirmed, scored_tracks
+from swarmtwin.diagnosis.gains import (
+    Errors,
+    Gains,
+    gain_by_loss,
+    gains,
+    likelihood_gain,
+    not_confirmed,
+    not_shown_in_open_loop,
+    scored_tracks,
+)
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.own_units import with_own_unit
@@ -28,12 +37,14 @@ class HeldOutJudgement(NamedTuple):
         errors: of that, or of the simulation as it was.
         gain: of the extension.
         objection: why they do not confirm it; None where they do.
+        not_shown: why it is not to be registered though they confirm it; None where it is.
     """
 
     extended: Simulation | None
     errors: Errors
     gain: Gains
     objection: str | None
+    not_shown: str | None = None
 
 
 @dataclass(frozen=True)
@@ -102,7 +113,8 @@ class HeldOutRuns:
         else:
             likelihood = likelihood_gain(self.unfitted, extended, settings.gain_draws, rng, usual)
         moves = extended.residual is not None or bool(arriving(explained.mechanisms))
-        return HeldOutJudgement(extended, errors, gain, not_confirmed(gain, likelihood, settings.immaterial, moves))
+        objection = not_confirmed(gain, likelihood, settings.immaterial, moves)
+        return HeldOutJudgement(extended, errors, gain, objection, not_shown_in_open_loop(gain, moves))
 
     @property
     def _windows_s(self) -> tuple[float, ...]:

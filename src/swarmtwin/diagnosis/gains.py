@@ -238,6 +238,19 @@ def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float, moves: bool 
     return " and ".join(faults) or None
 
 
+def not_shown_in_open_loop(gain: Gains, moves: bool) -> str | None:
+    """Say why an extension that held-out runs confirm is not to be registered; None where it is.
+
+    Whoever drives in it drives in open loop: the position after ten periods must be measurably better there, if any
+    cause changes the likeliest motion (`moves`).
+    """
+    if not moves or gain.ten_periods_mm is None or gain.ten_periods_mm.low > 0:
+        return None
+    if gain.ten_periods_mm.before == 0:
+        return "no held-out run is long enough to show what it gains in open loop over ten periods"
+    return f"in open loop over ten periods it is not measurably better ({_told(gain.ten_periods_mm, 'mm')})"
+
+
 def confirmed_from(error: np.ndarray, change: np.ndarray, run: np.ndarray, power: float = 0.9) -> float:
     """Return how many times as large an effect must be for held-out runs to confirm it with a probability of `power`.
 

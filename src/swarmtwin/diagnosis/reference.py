@@ -23,7 +23,7 @@ from swarmtwin.errors import UserError
 from swarmtwin.geometry import displacement_between, exp_map, log_map
 from swarmtwin.learning.ensemble import folds_of, learn
 from swarmtwin.recordings.recording import Recording
-from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.robot import Arena, Robot, SituationPart
 from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import (
@@ -211,8 +211,8 @@ class Reference:
         """Return what of a measured recording can be compared.
 
         Raises:
-            UserError: another robot, too few runs or transitions, constant commands, or commands that the reference
-                does not cover.
+            UserError: another robot, another arena where the simulation looks at poses, too few runs or transitions,
+                constant commands, or commands that the reference does not cover.
         """
         robot = self.robot
         if measured.robot.name != robot.name or measured.robot.command_columns != robot.command_columns:
@@ -221,10 +221,22 @@ class Reference:
             )
         settings = self.settings.reference
         transitions = enough_measured(measured, settings)
+        self._require_same_arena(transitions.arena_mm)
         covered = self.covers(transitions.command)
         session = MeasuredSession.of(transitions.where(covered), self.conditions_for(transitions), measured.sent)
         require_enough(session, settings, "measured", ", as far as the reference covers its commands,")
         return ComparableSession(session, transitions, int((~covered).sum()))
+
+    def _require_same_arena(self, measured: Arena) -> None:
+        """Refuse another arena where the simulation looks at poses: its walls, or its origin, lie elsewhere."""
+        own, allowed_mm = self.session.conditions.arena_mm, min(self.robot.vehicle_size_mm) / 2
+        elsewhere_mm = np.abs(np.concatenate([measured.low_mm - own.low_mm, measured.high_mm - own.high_mm]))
+        if "pose" in self.base.inputs and elsewhere_mm.max() > allowed_mm:
+            raise UserError(
+                f"the measured recording is of another arena ({measured}) than the simulation ({own}), which looks at "
+                "poses and knows none there: measure in the same arena, or, with reference=DIR, diagnose without "
+                "poses, situation=[command,previous_command]"
+            )
 
     def conditions_for(self, transitions: Transitions) -> SessionConditions:
         """Return the conditions of another session of this robot."""

@@ -35,22 +35,30 @@ class Estimate(StrictModel):
     unit: str
 
 
-class Cause(StrictModel):
-    """A named cause.
+class EstimatedCause(StrictModel):
+    """A cause with its values.
 
     Attributes:
         name: of the mechanism, one of the catalogue.
         parameters: by name.
         form: what a cause of several forms acts on, in words, by the mechanism's fields.
+    """
+
+    name: str
+    parameters: dict[str, Estimate]
+    form: dict[str, str] = Field(default_factory=dict)
+
+
+class Cause(EstimatedCause):
+    """A named cause.
+
+    Attributes:
         confidence: posterior probability that it is there, summed over all sets of causes.
         rivals: causes that share that probability with it, in sets without it.
         share_of_gap: of the squared error that can be explained at all, the part that this cause explains.
         evidence: one sentence that a person can read.
     """
 
-    name: str
-    parameters: dict[str, Estimate]
-    form: dict[str, str] = Field(default_factory=dict)
     confidence: Share
     rivals: tuple[str, ...]
     share_of_gap: Share
@@ -231,10 +239,13 @@ class DiagnosisResult(StrictModel):
         extension: what the extended simulation adds: mechanisms, a learned residual, or nothing.
         not_confirmed: why held-out runs do not confirm the extension; it is then not kept, and no cause is named but
             what the clock itself shows. Null where they do, or where there is none.
+        not_registered: why the extension is kept but not registered though they confirm it. Null otherwise.
         units: what vehicles that the reference does not know do otherwise by fabrication. Empty in older files.
         detection_limits: for each cause, the smallest that the session would have shown.
         posterior: the leading sets of causes, the most probable first; that of no cause is among them. A changed noise
             is weighed apart. Empty in files that are older.
+        likeliest: the causes of the most probable set, named or not, with values as they would be told; without those
+            that may as well do nothing. Empty where nothing is wrong, and in older files.
         seed: of everything random.
         format: changes when older versions cannot read the file.
     """
@@ -252,9 +263,11 @@ class DiagnosisResult(StrictModel):
     transitions: dict[str, int]
     extension: Extension
     not_confirmed: str | None = None
+    not_registered: str | None = None
     units: tuple[UnitDifference, ...] = ()
     detection_limits: tuple[DetectionLimit, ...] = ()
     posterior: tuple[CauseSet, ...] = ()
+    likeliest: tuple[EstimatedCause, ...] = ()
     seed: int
     format: Literal[1] = 1
 

@@ -20,6 +20,7 @@ from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.blocks import FEWEST_RUNS, enough_runs, in_blocks, run_of, table_in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
 from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
+from swarmtwin.recordings.plausibility.sent_log import SentLog
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
 from swarmtwin.recordings.tables import RunTable, count_runs, parse_run, parse_runs_together
 from swarmtwin.recordings.tracks import tracks_of
@@ -73,7 +74,9 @@ def read_in_parts(
     header, files = look_into(folder, robot)
     _log_others(folder / RUNS_FOLDER)
     runs = _runs_in(files)
-    parts = _Parts(Recording(robot, header, ()), take, rows_at_a_time, few=not enough_runs(runs))
+    sent = _sent_commands(folder / SENT_FILE, robot)
+    whole = Recording(robot, header, (), sent=sent)
+    parts = _Parts(whole, take, rows_at_a_time, few=not enough_runs(runs))
     dropped: Counter[str] = Counter()
     unread: dict[str, None] = {}
     digest = hashlib.sha256()
@@ -89,9 +92,8 @@ def read_in_parts(
             files[0].parent if len(files) > 1 else files[0], "no run holds a complete row", "record the runs again"
         )
     _log_oddities(folder, parts.spans, dropped, tuple(unread))
-    sent = _sent_commands(folder / SENT_FILE, robot)
     try:
-        warnings = judge(header, parts.rows, parts.in_degrees)
+        warnings = judge(header, parts.rows, parts.in_degrees, parts.sent_log)
     except UserError as error:
         raise UserError(f"{folder}: {error}") from None
     for warning in warnings:
@@ -99,7 +101,7 @@ def read_in_parts(
     parts.give_rest()
     if parts.blocks > len({run_of(span.run) for span in parts.spans}):
         logger.info("%s: long runs, taken as %d blocks", folder, parts.blocks)
-    return Recording(robot, header, (), dict(dropped), digest.hexdigest(), warnings, sent)
+    return replace(whole, dropped_rows=dict(dropped), digest=digest.hexdigest(), warnings=warnings)
 
 
 class _Span(NamedTuple):
@@ -121,6 +123,7 @@ class _Parts:
         rows: what the recording is judged by.
         in_degrees: the same with headings taken for degrees, from the first run on that has one beyond a turn; None
             where there is none.
+        sent_log: the rows beside the log of the commands; None where there is none.
         blocks: so many runs, or blocks of these, there were so far.
     """
 
@@ -128,6 +131,7 @@ class _Parts:
         self.spans: list[_Span] = []
         self.rows = SampledRows(whole.robot)
         self.in_degrees: SampledRows | None = None
+        self.sent_log = SentLog(whole.robot, whole.sent) if whole.sent else None
         self._whole, self._take, self._rows_at_a_time = whole, take, rows_at_a_time
         self.blocks = 0
         self._few = few
@@ -161,6 +165,8 @@ class _Parts:
     def judge_all(self) -> None:
         """Let what has not yet been looked at pass by."""
         self.rows.add(self._unjudged)
+        if self.sent_log is not None:
+            self.sent_log.add(self._unjudged)
         if self.in_degrees is not None:
             self.in_degrees.add(self._unjudged_in_degrees)
         self._unjudged, self._unjudged_in_degrees, self._unjudged_rows = [], [], 0

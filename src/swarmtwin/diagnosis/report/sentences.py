@@ -12,6 +12,7 @@ from swarmtwin.diagnosis.result import (
     DetectionLimit,
     DiagnosisResult,
     Estimate,
+    EstimatedCause,
     Gain,
     NextRecording,
     UnitDifference,
@@ -64,7 +65,7 @@ def value_words(name: str, estimate: Estimate) -> str:
     return f"{_number(factor * estimate.value, decimals)}{unit}"
 
 
-def cause_words(cause: Cause) -> str:
+def cause_words(cause: EstimatedCause) -> str:
     """Return what a cause is, its numbers with their intervals."""
     return _told(cause, estimate_words)
 
@@ -250,9 +251,11 @@ def limits_words(diagnosis: DiagnosisResult) -> str:
 def posterior_words(diagnosis: DiagnosisResult) -> str:
     """Return how to read the probabilities of the leading sets of causes."""
     if diagnosis.verdict == "unexplained" and not diagnosis.causes:
+        told = "; ".join(cause_words(one) for one in diagnosis.likeliest)
+        values = f" If the likeliest set were all that is wrong: {told}." if told else ""
         return (
             "These probabilities assume that the true causes are in the catalogue. But no set of its causes explains "
-            "what was measured, or runs that nothing was fitted to speak against it: none is named."
+            f"what was measured, or runs that nothing was fitted to speak against it: none is named.{values}"
         )
     return (
         "These probabilities assume that the true causes are in the catalogue. A cause is named where the sets that "
@@ -303,7 +306,7 @@ class _Told(NamedTuple):
         return directions.split("/")[self.is_negative] if directions else self.words
 
 
-def _told(cause: Cause, tell: Callable[[str, Estimate], str]) -> str:
+def _told(cause: EstimatedCause, tell: Callable[[str, Estimate], str]) -> str:
     """Fill in a cause's words; what this robot does not have stays empty."""
     mechanism = mechanism_class(cause.name)
     directed = {name for _, name, directions, _ in Formatter().parse(mechanism.words) if directions}

@@ -25,6 +25,8 @@ class Limits:
         least_motion: frozen where 95 % of displacements are below this share of the largest believable one.
         agreement: contradicted where less of the motion follows heading and command.
         explained: agreement from which on a mistake is said to be the reason.
+        log_disagreement: refused where rows' commands differ from the log's means in their periods by more than this
+            share of the commands' variance. Of commands drawn anew each period a clock is off by half a period there.
         shift: warned of where commands of another row agree by so much more, travel and turning together.
     """
 
@@ -41,6 +43,7 @@ class Limits:
     least_motion: float = 0.002
     agreement: float = 0.35
     explained: float = 0.55
+    log_disagreement: float = 0.5
     shift: float = 0.1
 
 

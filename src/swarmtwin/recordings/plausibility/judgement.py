@@ -14,11 +14,16 @@ from swarmtwin.recordings.plausibility.doubt import Doubt, Limits
 from swarmtwin.recordings.plausibility.frame import frame_doubts
 from swarmtwin.recordings.plausibility.positions import arena_doubts, gain_doubts, stillness_doubts
 from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
+from swarmtwin.recordings.plausibility.sent_log import SentLog
 from swarmtwin.recordings.recording import Header
 
 
 def judge(
-    header: Header, rows: SampledRows, in_degrees: SampledRows | None = None, limits: Limits | None = None
+    header: Header,
+    rows: SampledRows,
+    in_degrees: SampledRows | None = None,
+    sent_log: SentLog | None = None,
+    limits: Limits | None = None,
 ) -> tuple[str, ...]:
     """Judge a recording as a whole.
 
@@ -26,6 +31,7 @@ def judge(
         header: what it says of itself.
         rows: as read.
         in_degrees: the same with headings taken for degrees, where some are beyond a turn.
+        sent_log: the rows beside the log of the commands, where there is one.
         limits: from where on it is doubted.
 
     Returns:
@@ -36,7 +42,7 @@ def judge(
     """
     limits, accepted = limits or Limits(), header.accept or ()
     doubts: list[Doubt] = []
-    for doubt in _doubts(header, rows, in_degrees, limits):
+    for doubt in _doubts(header, rows, in_degrees, sent_log, limits):
         if doubt.refused and doubt.check not in accepted:
             accept = ", ".join([*accepted, doubt.check])
             end = "" if doubt.text.endswith("?") else "."
@@ -47,10 +53,14 @@ def judge(
     return tuple(doubt.text for doubt in doubts)
 
 
-def _doubts(header: Header, rows: SampledRows, in_degrees: SampledRows | None, limits: Limits) -> Iterator[Doubt]:
+def _doubts(
+    header: Header, rows: SampledRows, in_degrees: SampledRows | None, sent_log: SentLog | None, limits: Limits
+) -> Iterator[Doubt]:
     if rows.pairs < limits.fewest_pairs:
         return
     yield from clock_doubts(rows.robot, rows.between_s(), limits)
+    if sent_log:
+        yield from sent_log.doubts(limits)
     motion = rows.motion()
     if len(motion) < limits.fewest_pairs:
         return
