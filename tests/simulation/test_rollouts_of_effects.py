@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 import torch
+from scipy import optimize
 
 from exact_model import MM_PER_PWM, SESSION_S, TRACK_MM, ExactDynamics, conditions_of, simulation_with
 from swarmtwin.dynamics.motion_noise import MotionNoise
@@ -119,6 +120,20 @@ class Saturation(FineWorld):
         return np.clip(command, -self.values["limit"], self.values["limit"])
 
 
+class FrictionBand(FineWorld):
+    def received(self, command):
+        return np.sign(command) * np.maximum(np.abs(command) - self.values["width"], 0.0)
+
+
+class GradualSaturation(FineWorld):
+    def prepare(self):
+        largest = float(self.robot.command_high[0])
+        self.bend = optimize.brentq(lambda bend: math.tanh(bend * largest) / bend - self.values["limit"], 1e-6, 1.0)
+
+    def received(self, command):
+        return np.tanh(self.bend * command) / self.bend
+
+
 class Gain(FineWorld):
     def speed(self, command, dt_s):
         return self.values["gain"] * super().speed(command, dt_s)
@@ -129,6 +144,19 @@ class Sag(FineWorld):
         return (1 - self.values["loss"] * (self.elapsed_s / SESSION_S) ** self.values["shape"]) * super().speed(
             command, dt_s
         )
+
+
+class WeakServo(FineWorld):
+    """The fin strokes less far."""
+
+    def received(self, command):
+        return command * np.array([1.0, self.values["gain"], 1.0])
+
+
+class SaggingServo(FineWorld):
+    def received(self, command):
+        left = 1 - self.values["loss"] * (self.elapsed_s / SESSION_S) ** self.values["shape"]
+        return command * np.array([1.0, left, 1.0])
 
 
 class Asymmetry(FineWorld):
@@ -153,6 +181,22 @@ class Lag(FineWorld):
         before = self.now
         self.now = target + (before - target) * np.exp(-dt_s / self.values["time_constant_s"])[:, None]
         return (before + self.now) / 2
+
+
+class EvenLag(FineWorld):
+    """Each wheel changes its speed by no more than the largest one in two time constants."""
+
+    def prepare(self):
+        self.now = np.zeros((VEHICLES, 2))
+        largest_mm_s = self.robot.largest_displacement.forward_mm / self.robot.period_s
+        self.mm_s2 = largest_mm_s / (2 * self.values["time_constant_s"])
+
+    def speed(self, command, dt_s):
+        change_mm = self.mm_s2 * self.robot.period_s * dt_s[:, None]
+        before, target = self.now, MM_PER_PWM * np.broadcast_to(command, self.now.shape)
+        self.now = before + np.clip(target - before, -change_mm, change_mm)
+        left, right = ((before + self.now) / 2).T
+        return np.column_stack([(left + right) / 2, 0 * left, (right - left) / TRACK_MM])
 
 
 class SettingLag(FineWorld):
@@ -282,6 +326,13 @@ OF_A_FIN = {
     "backlash": (FinBacklash, {"travel_rad": 0.2, "by_width": 0.6}),
     "command_delay": (Delay, {"delay_s": 0.2}),
 }
+IN_OTHER_FORMS = [
+    ("mgr", "dead_band", FrictionBand, {"width": 25.0, "larger": "less"}),
+    ("mgr", "saturation", GradualSaturation, {"limit": 60.0, "sets_in": "gradually"}),
+    ("mgr", "actuator_lag", EvenLag, {"time_constant_s": 0.3, "follows": "evenly"}),
+    ("mur", "gain_change", WeakServo, {"gain": 0.8, "acts_on": "effort"}),
+    ("mur", "battery_sag", SaggingServo, {"loss": 0.5, "shape": 1.5, "acts_on": "effort"}),
+]
 COMMANDS = {
     "mgr": [(80, 60), (-50, 90), (30, -100), (110, 20), (-70, -90), (35, 95)],
     "mur": [(30, 50, 8), (-60, 30, 6), (70, 55, 9), (-20, 20, 4), (10, 60, 7), (-75, 45, 5)],
@@ -335,7 +386,11 @@ def rolled_out_plain(robots):
 CASES = [(robot, name, *rest) for robot, of in (("mgr", EFFECTS), ("mur", OF_A_FIN)) for name, rest in of.items()]
 
 
-@pytest.mark.parametrize(("robot", "name", "world", "values"), CASES, ids=[f"{case[0]}-{case[1]}" for case in CASES])
+CASES += IN_OTHER_FORMS
+IDS = ["-".join([case[0], case[1], *(value for value in case[3].values() if isinstance(value, str))]) for case in CASES]
+
+
+@pytest.mark.parametrize(("robot", "name", "world", "values"), CASES, ids=IDS)
 def test_mean_and_spread_are_those_of_the_effect(robots, rolled_out_plain, robot, name, world, values):
     robot = robots[robot]
     elapsed_s = 0.7 * SESSION_S if name == "battery_sag" else 0.0
