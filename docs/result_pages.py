@@ -1,11 +1,11 @@
 """The pages of results, from what the pipelines computed and pushed: nothing on them is typed."""
 
-import math
 from pathlib import Path
 
 import yaml
 
 from swarmtwin.diagnosis.report.page import gain_bars, window_rows
+from swarmtwin.diagnosis.report.sentences import estimate_words, parameter_title
 from swarmtwin.diagnosis.result import DiagnosisResult, EstimatedCause
 from swarmtwin.studies.study_table import StudyTable
 
@@ -65,7 +65,7 @@ def creates_page() -> str:
             for robot, one in found.items()
         ],
         "the likeliest causes are named only where held-out runs confirm them and nothing of note is left, which is "
-        "where the verdict is explained",
+        "where the verdict is explained; those that may as well do nothing have no values",
         left=(2, 3, 4, 5),
     )
     bars = {robot: gain_bars(one) for robot, one in found.items()}
@@ -119,13 +119,9 @@ def _likeliest(found: DiagnosisResult) -> str:
 
 
 def _cause_words(cause: EstimatedCause) -> str:
-    values = []
-    for one in cause.parameters.values():
-        factor, unit = (math.degrees(1), "°") if one.unit == "rad" else (1.0, f" {one.unit}".rstrip())
-        value, low, high = (factor * figure for figure in (one.value, one.low, one.high))
-        values.append(f"{value:.3g}{unit} ({low:.3g} to {high:.3g})")
     form = f" ({', '.join(cause.form.values())})" if cause.form else ""
-    return f"{cause.name}{form} {', '.join(values)}"
+    values = [f"{parameter_title(name)} {estimate_words(name, one)}" for name, one in cause.parameters.items()]
+    return f"{cause.name}{form}: {', '.join(values)}"
 
 
 def experiment_entries() -> list[dict[str, list[dict[str, str]]]]:
