@@ -282,7 +282,7 @@ SHOWN = {
     "reference/configuration/robot.html": "differential_drive",
     "results/pipeline.html": "trained on real and on synthetic transitions",
     "results/models/mur/report.html": "an ensemble errs less than CR-Net",
-    "results/creates/diagnosis.html": "causes confirmed",
+    "results/creates/diagnosis.html": "command_delay: delay",
     "reference/code/simulation.html": "What a mechanism is: one stage of the signal chain",
     "changelog.html": "Unreleased",
 }
