@@ -306,6 +306,19 @@ def test_what_the_reference_has_as_well_is_no_gap_but_for_what_no_simulation_kno
             assert cause.parameters["loss"].low < 0.35 < cause.parameters["loss"].high
 
 
+@pytest.mark.end_to_end
+def test_one_long_run_is_diagnosed_by_its_blocks(drives, tmp_path):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Physics, "bank_rows", 4096)
+        call("record", "robot=mgr", "steps=1500", "runs=1", "seed=9", SAG, f"output={tmp_path / 'long'}")
+    given, output = (f"reference={drives / 'reference'}", f"measured={tmp_path / 'long'}"), tmp_path / "out"
+    call("diagnose", "robot=mgr", *given, *QUICK, "register=false", "pictures=false", f"output={output}")
+    result = read_result(output)
+    assert sum(result.runs.values()) > 8
+    assert [cause.name for cause in result.causes] == ["battery_sag"]
+    assert result.causes[0].parameters["loss"].low < 0.35 < result.causes[0].parameters["loss"].high
+
+
 def test_a_clock_that_was_never_set_changes_nothing(drives, diagnosed, tmp_path):
     """A battery ages from the session's beginning on, whatever the clock shows then."""
     late = tmp_path / "late"
