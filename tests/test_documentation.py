@@ -150,6 +150,29 @@ def test_what_is_said_of_policies_is_what_ten_seeds_did():
             assert f"{100 * chance['low']:.0f} to {100 * chance['high']:.0f} %" in row
 
 
+def test_what_is_said_of_policies_in_extended_simulations_is_what_was_measured():
+    file = DOCS / "results" / "policy_gain" / "metrics.json"
+    if not file.is_file():
+        pytest.skip("no docs/results/policy_gain: dvc pull docs/results/dvc.yaml")
+    found, said = json.loads(file.read_text()), (DOCS / "results.md").read_text()
+    rows = {
+        "lag of 0.5 s": "lag",
+        "delay of 0.4 s": "delay",
+        "two of five commands lost": "loss",
+        "battery that sags to half the speed": "sag",
+        "patch that takes 0.7 of the speed": "patch",
+    }
+    for row, hidden in rows.items():
+        (line,) = [one for one in said.splitlines() if one.startswith(f"| {row} |")]
+        cells = [cell.strip().replace("−", "-") for cell in line.split("|")[2:-1]]
+        for (before, after, gain), family in zip((cells[:3], cells[3:]), ("formulas", "rigid_body"), strict=True):
+            own = found[family][hidden]
+            names = ("success_gain", "success_gain_low", "success_gain_high")
+            value, low, high = (round(100 * own[name]) for name in names)
+            assert (before, after) == (f"{100 * own['before_success']:.0f}", f"{100 * own['after_success']:.0f}")
+            assert gain == f"{value} ({low} to {high})", (family, hidden)
+
+
 def counted_of_the_diagnosis(what="families"):
     """What the study of hidden effects counted in each family of stand-ins."""
     file = DOCS / "results" / "hidden_effects" / "metrics.json"
