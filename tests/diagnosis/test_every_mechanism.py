@@ -88,7 +88,7 @@ def standing(kind, robot, seed):
 def test_intervals_hold_the_truth_as_often_as_they_say(robots, robot, name, form):
     """Fewer than the binomial distribution's point of 1 in 1,000 refute 95 %.
 
-    Nor is any parameter estimated too high or too low by more than 0.3 standard errors, as far as so many sessions show.
+    Nor is any parameter estimated too high or too low by more than 0.3 standard errors, as far as these sessions show.
     """
     kind = mechanism_class(name).forms(robots[robot])[form]
     by_session = [standing(kind, robots[robot], seed) for seed in range(SESSIONS)]

@@ -122,11 +122,14 @@ def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_
         session=range(4000),
         strange=(),
         read_off_clock=lambda kind: False,
+        robot=robot,
     )
     best = SimpleNamespace(
         mechanisms=[
-            type(cause, (), {"name": cause, **{name: getattr(mechanism_class(cause), name) for name in USED}})()
-            for cause in estimates
+            type(
+                cause, (), {"name": cause, own: value, **{name: getattr(mechanism_class(cause), name) for name in USED}}
+            )()
+            for cause, (own, value, _) in estimates.items()
         ],
         names=tuple(estimates),
         values=np.array([value for _, value, _ in estimates.values()]),
@@ -242,6 +245,18 @@ def test_outliers_of_which_the_reference_has_fewer_are_neither_lost_commands_nor
     expected = is_explained or cause == "gain_change"  # that moves the mean: outliers say nothing of it
     assert explained.verdict == ("explained" if expected else "unexplained")
     assert explained.names_motion_noise is (expected and cause == "noise_change")
+
+
+@pytest.mark.parametrize(
+    ("robot", "lost", "is_explained"), [("mgr", 0.1, True), ("mgr", 0.002, False), ("mur", 0.002, True)]
+)
+def test_no_more_than_a_tenth_of_what_is_lost_leaves_outliers_where_wheels_lose_it(robots, robot, lost, is_explained):
+    """What is taken for a lost command now and then is another mishap, most of which is left over."""
+    estimates = {"command_loss": ("probability", lost, lost / 10)}
+    explained = explanation_of(robots[robot], estimates, posterior_of(command_loss=(300.0, 1)))
+    fitted = SimpleNamespace(residual=residual_with(12), scale=np.ones(3))
+    explained = dataclasses.replace(explained, best=SimpleNamespace(**vars(explained.best), fitted=fitted))
+    assert explained.verdict == ("explained" if is_explained else "unexplained")
 
 
 @pytest.mark.parametrize(("beyond", "verdict"), [(5.0, "no_gap"), (50.0, "explained")])

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy import stats
 
-from swarmtwin.diagnosis.cause_search import CausePosterior
+from swarmtwin.diagnosis.cause_search import CausePosterior, is_of_exact_form
 from swarmtwin.diagnosis.estimation import EstimatedSet, estimate, with_uncertain_simulation
 from swarmtwin.diagnosis.left_over import LeftOver, left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
@@ -149,10 +149,28 @@ class Explanation:
 
         What moves no mean is seen by the spread of errors alone, and any mishap now and then looks like it.
         """
-        settings, large = self.model.settings.dependence, outliers(self.model, self.best.fitted)
-        usual = self.reference.outliers + settings.least_tails_change
-        chance = stats.binom.sf(large.sum() - 1, len(large), usual)
-        return bool(chance < settings.false_discovery_rate)
+        return self._leaves_more_outliers_by(self.model.settings.dependence.least_tails_change)
+
+    @property
+    def _leaves_more_than_losses(self) -> bool:
+        """Whether commands that are said to be lost leave such errors: what is taken for a loss is another mishap then.
+
+        On wheels it is known exactly what a lost command leads to, and few of many such mishaps look like that: the
+        others are left.
+        """
+        lossy = [one for one in self.best.mechanisms if loses_commands([type(one)])]
+        settings = self.model.settings.dependence
+        usual = settings.least_tails_change
+        if all(is_of_exact_form(self.model, type(one)) for one in lossy):
+            usual = min(
+                [usual, *(settings.least_tails_change_a_loss * (1 - one.arrival_probability()) for one in lossy)]
+            )
+        return bool(lossy) and self._leaves_more_outliers_by(usual)
+
+    def _leaves_more_outliers_by(self, share: float) -> bool:
+        large = outliers(self.model, self.best.fitted)
+        chance = stats.binom.sf(large.sum() - 1, len(large), self.reference.outliers + share)
+        return bool(chance < self.model.settings.dependence.false_discovery_rate)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,7 +184,7 @@ class Explanation:
         takes_many = len(self.posterior.best.names) > self.model.settings.search.most_causes
         if self._may_be_another_cause or self.is_uncertain or self.at_an_end or takes_many:
             return ()
-        if loses_commands([type(one) for one in self.best.mechanisms]) and self.leaves_outliers:
+        if self._leaves_more_than_losses:
             return ()
         return self.sure
 

@@ -112,6 +112,7 @@ class DependenceSettings(StrictModel):
         false_discovery_rate: Benjamini and Hochberg's, over all tests of a session.
         least_explained: share of the residual's variance below which a dependence does not matter.
         least_tails_change: likewise, change of the share of large residuals.
+        least_tails_change_a_loss: likewise beside commands that wheels lose, for each of these.
         clip_z: residuals are clipped here before a test.
         tail_z: from here on a residual is a large one.
         ridge: on the regressions, over the mean of their information.
@@ -122,6 +123,7 @@ class DependenceSettings(StrictModel):
     false_discovery_rate: Share = 0.01
     least_explained: Share = 0.006
     least_tails_change: NonNegative = 0.004
+    least_tails_change_a_loss: NonNegative = 0.1
     clip_z: Positive = 5.0
     tail_z: Positive = 3.5
     ridge: NonNegative = 1e-3
@@ -179,7 +181,7 @@ class SearchSettings(StrictModel):
     Attributes:
         prior: probability of each cause to be there.
         least_nats_a_transition: that a cause must bring to matter: less is left to what nobody knows exactly. A gain of
-            0.005 lowers errors by about 0.2 %. Where other units may differ by as much, only a share of what a cause
+            0.01 lowers errors by about 0.3 %. Where other units may differ by as much, only a share of what a cause
             changes is evidence, and as much of this is asked for.
         least_share_beside: likewise, of what a set gains, for each cause beyond the first: no form is exact, and one
             that is wrong by a seventh of its effect leaves that share to whatever picks it up. Not for those that have
@@ -201,7 +203,7 @@ class SearchSettings(StrictModel):
     """
 
     prior: Share = 0.05
-    least_nats_a_transition: NonNegative = 0.005
+    least_nats_a_transition: NonNegative = 0.01
     least_share_beside: NonNegative = 0.02
     least_share_late: NonNegative = 0.08
     most_causes: Count = 3
