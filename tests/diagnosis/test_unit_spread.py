@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 from exact_base import SPREAD, ExactBase, Losing, known_noise, session_of
+from simulated_session import simulated_noise, simulated_session
 
 from exact_model import TRACK_MM, LaggingDynamics
-from swarmtwin.diagnosis.cause_search import CauseSearch
+from swarmtwin.diagnosis.cause_search import CauseSearch, prior_log_odds
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
@@ -135,6 +136,22 @@ def test_what_another_unit_changes_must_matter_and_the_evidence_tell_it_from_fab
     nothing = estimate(model, [])
     too_little = model.settings.search.least_nats_a_transition * len(model.session)
     assert slower.evidence - nothing.evidence < NAMED + too_little  # not enough, were all that it changes evidence
+
+
+@pytest.mark.parametrize(("other", "start"), [("camera_scale", {"scale": 1.15}), ("gain_change", {"gain": 1.15})])
+def test_what_is_asked_of_one_cause_is_not_less_beside_another_that_units_make_up_for(robots, other, start):
+    """The second changes much, hardly any of which is evidence: that is asked of it alone."""
+    delay = mechanism_class("command_delay").at({"delay_s": 0.02})
+    session = simulated_session(robots["mgr"], [delay], 7)
+    model = SessionLikelihood(ExactBase(robots["mgr"]), simulated_noise(), session, ("another",), 0.05)
+    search = CauseSearch(model, {name: mechanism_class(name) for name in ("command_delay", other)})
+    alone = estimate(model, [delay])
+    both = estimate(model, [delay, mechanism_class(other).at(start)])
+    asked, asked_of_both = (search.score(one) - one.evidence for one in (alone, both))
+    settings = model.settings.search
+    least = prior_log_odds(settings) + settings.least_share_beside * (both.evidence - estimate(model, []).evidence)
+    matters = settings.least_nats_a_transition * len(session)
+    assert least < asked - asked_of_both < least + 0.1 * matters
 
 
 def test_what_is_a_vehicles_own_is_told_with_its_interval(robots):

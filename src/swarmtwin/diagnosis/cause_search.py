@@ -137,6 +137,7 @@ class CauseSearch:
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = {name: kind for name, kind in kinds.items() if model.can_show(kind)}
         self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}
+        self._shares: dict[tuple[MechanismClass, ...], tuple[EstimatedSet, float]] = {}
 
     def run(self) -> CausePosterior:
         """Fit sets of one cause more at a time, beside the best ones, until a further cause is not probable."""
@@ -173,24 +174,32 @@ class CauseSearch:
         """
         count, gained = len(one.names), one.evidence - self._exact_part(one).evidence
         further = share_beside(self.settings, self.model, one.fitted.kinds) * max(gained, 0.0)
-        too_little = self._share_of_evidence(one) * too_little_nats(self.settings, len(self.model.session))
-        return count * (prior_log_odds(self.settings) + too_little) + further
+        too_little = too_little_nats(self.settings, len(self.model.session)) * self._shares_of_evidence(one)
+        return count * prior_log_odds(self.settings) + too_little + further
 
     def _exact_part(self, one: EstimatedSet) -> EstimatedSet:
         """Return what was fitted of a set's causes without another form alone; of none where that was not."""
         exact = frozenset(kind for kind in one.fitted.kinds if is_of_exact_form(self.model, kind))
         return self.fitted.get(exact) or self._fit(())
 
-    def _share_of_evidence(self, one: EstimatedSet) -> float:
-        """Return the share of what a set changes that is evidence for it, and no difference of units.
+    def _shares_of_evidence(self, one: EstimatedSet) -> float:
+        """Return the sum over a set's causes of the share of what each changes that is evidence, and no unit's own.
 
-        What matters is what a cause changes, and little of that is evidence where other units may differ by as much.
+        What matters is what a cause changes beside the others, and little of that is evidence where other units may
+        differ by as much. A cause that a unit makes up for takes nothing off what is asked of the others.
         """
         if not self.model.strange:
-            return 1.0
-        nothing = self._fit(()).fitted
-        changed = ((one.fitted.whitened - nothing.whitened) ** 2).sum(axis=1) @ self.model.weight / 2
-        return min(max(one.fitted.total - nothing.total, 0.0) / changed, 1.0) if changed > 0 else 1.0
+            return float(len(one.names))
+        known, shares = self._shares.get(one.fitted.kinds, (None, 0.0))
+        if known is not one:
+            shares = sum(self._share_of_evidence(one, cause) for cause in one.mechanisms)
+            self._shares[one.fitted.kinds] = one, shares
+        return shares
+
+    def _share_of_evidence(self, one: EstimatedSet, cause: Mechanism) -> float:
+        beside = self.model.evaluate([other for other in one.mechanisms if other is not cause])
+        changed = ((one.fitted.whitened - beside.whitened) ** 2).sum(axis=1) @ self.model.weight / 2
+        return min(max(one.fitted.total - beside.total, 0.0) / changed, 1.0) if changed > 0 else 1.0
 
     def _gained_by_usual_loss(self, one: EstimatedSet) -> float:
         """Return the nats that a set with lost commands gains by as many as the reference seems to lose: no news."""
