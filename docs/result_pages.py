@@ -60,7 +60,9 @@ def creates_page() -> str:
                 one.verdict,
                 _likeliest(one),
                 ",\n".join(map(_cause_words, one.likeliest)) or "none",
-                one.not_confirmed or one.not_registered or "confirm it, in open loop as well: registered",
+                one.not_confirmed
+                or one.not_registered
+                or ("" if one.extension == "none" else "confirm it: registered"),
             ]
             for robot, one in found.items()
         ],

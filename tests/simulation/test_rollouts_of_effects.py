@@ -384,8 +384,6 @@ def rolled_out_plain(robots):
 
 
 CASES = [(robot, name, *rest) for robot, of in (("mgr", EFFECTS), ("mur", OF_A_FIN)) for name, rest in of.items()]
-
-
 CASES += IN_OTHER_FORMS
 IDS = ["-".join([case[0], case[1], *(value for value in case[3].values() if isinstance(value, str))]) for case in CASES]
 
