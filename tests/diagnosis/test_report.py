@@ -59,6 +59,7 @@ LIMITS = (
     ),
     DetectionLimit(cause="gain_change", parameter="gain", value=1.0564, unit="", share_of_range=0.02),
     DetectionLimit(cause="battery_sag", parameter="loss", value=0.0631, unit="", share_of_range=0.06),
+    DetectionLimit(cause="saturation", parameter="limit", value=108.0, unit="PWM", share_of_range=0.11),
     DetectionLimit(cause="lens_distortion", parameter="coefficient", value=None, unit="", share_of_range=1.0),
     DetectionLimit(cause="steady_drift", parameter="x_mm_s", value=0.52, unit="mm/s", share_of_range=0.01),
 )
@@ -99,9 +100,10 @@ def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     diagnosis = made_result(causes=(DELAY, YAW))
     page = page_of(made_session(diagnosis, moved_late), tmp_path)
     assert (
-        "The robot departs from the simulation because commands act 0.15 s late (less likely, but not excluded: "
-        "actuator lag) – check network, broker and camera for latency; and because the marker is turned by 5.7° to the "
-        "right on the vehicle – glue the marker on straight, or enter its angle."
+        "The robot departs from the simulation because the marker is turned by 5.7° to the right on the vehicle – glue "
+        "the marker on straight, or enter its angle; and because commands act 0.15 s late (probability 99 %; less "
+        "likely, but not excluded: actuator lag) – check network, broker and camera for latency. Before anything is "
+        "repaired, make the recording below, which tells command delay and actuator lag apart."
     ) in page.above
     for said in (
         "Command delay : commands act 0.15 s (0.13 to 0.17) late.",
@@ -140,6 +142,7 @@ def test_limits_are_on_the_page_with_what_a_smaller_effect_is_taken_for(tmp_path
     assert "steady drift speed 0.52 mm/s" in page.text
     assert "battery sag loss 6.3 %" in page.text
     assert "lens distortion coefficient not at any value" in page.text
+    assert "saturation limit 108 PWM or less" in page.text
     assert "it would have been named in nine of ten such recordings" in page.above
 
 
@@ -197,8 +200,9 @@ def test_what_to_record_next_where_nothing_is_wrong_is_said():
         update={"separates": (), "lowers": {"command_delay": 0.6, "backlash": 0.71, "dead_band": 0.8}}
     )
     assert next_recording_words(plan).replace("\N{NO-BREAK SPACE}", " ") == (
-        "To see smaller effects, record next 20 runs of 40 steps with the commands in next_drive.csv. It would show "
-        "command delay from 60 %, backlash from 71 % and dead band from 80 % of the sizes below."
+        "To see smaller effects, record next 20 runs of 40 steps with the commands in next_drive.csv, over and over. It "
+        "would lower the limits below, as distances from having no effect: command delay to 60 %, backlash to 71 % and "
+        "dead band to 80 % of what they are."
     )
 
 
@@ -235,11 +239,11 @@ OWN_UNIT = UnitDifference(
 @pytest.mark.parametrize(
     ("verdict", "changes", "sentence"),
     [
-        ("no_gap", {}, "Nothing is wrong: the robot does what the simulation says"),
+        ("no_gap", {}, "No gap was found: within its ordinary noise the robot does what the simulation says"),
         (
             "no_gap",
             {"units": (OWN_UNIT,)},
-            "Nothing is wrong beyond how units differ: vehicle 7 goes 0.86 times as far",
+            "No gap was found beyond how units differ: vehicle 7 goes 0.86 times as far",
         ),
         ("explained", {}, "The robot departs from the simulation because commands act"),
         ("unexplained", {}, "latency; something else is wrong that has no name – look for what changed, or"),
@@ -311,7 +315,7 @@ def test_a_typical_run_and_a_bad_one_are_drawn():
     session = made_session(made_result(), moved_late, runs=40)
     figure = runs_figure(session.runs_before, session.runs_after)
     errors = sorted(run.rmse_mm for run in session.runs_before)
-    shown = [float(re.search(r": (\d+) → 1 mm", panel.get_title(loc="left"))[1]) for panel in figure.axes]
+    shown = [float(re.search(r": RMSE (\d+) → 1 mm", panel.get_title(loc="left"))[1]) for panel in figure.axes]
     expected = [errors[round(share * (len(errors) - 1))] for share in (0.5, 0.9)]
     assert shown == [float(f"{error:.0f}") for error in expected]
     assert runs_figure((), ()) is None
@@ -422,6 +426,27 @@ def test_gains_may_be_losses_and_errors_nothing():
     assert len(gain_bars(made_result(gain=older))) == 3
 
 
+def test_a_window_of_ten_periods_is_told_once(tmp_path):
+    gain = made_result().gain
+    ten_s = gain.open_loop_windows[1]
+    five_s = ten_s.model_copy(update={"window_s": 5.0, "before": 62.0, "after": 11.0})
+    gain = gain.model_copy(update={"open_loop_windows": (five_s, ten_s)})
+    page = page_of(made_session(made_result(gain=gain), moved_late), tmp_path)
+    assert "Position over ten periods before 62" in page.above
+    assert " 5 s 62" not in page.above
+    assert " 10 s 118" in page.above
+
+
+def test_errors_are_told_in_units_of_the_ordinary_noise(tmp_path):
+    session = made_session(made_result(), moved_late)
+    page = page_of(session, tmp_path)
+    before, after = (
+        np.sqrt(np.mean(residual[session.held_out] ** 2))
+        for residual in (session.residual_before, session.residual_after)
+    )
+    assert f"errors after one period are {before:.2f} → {after:.2f} (root mean square; noise alone: 1)" in page.above
+
+
 def test_a_result_without_windows_has_no_table_of_them(tmp_path):
     """Runs were too short for each of them, or it is of an older version."""
     gain = made_result().gain.model_copy(update={"open_loop_windows": ()})
@@ -506,7 +531,7 @@ def test_in_a_browser_the_report_loads_without_errors_and_fits(tmp_path, browser
     page_of(made_session(diagnosis, moved_late), tmp_path)
     for width in (1280, 400):
         page = browser.open(tmp_path / "report.html", width)
-        assert "The robot departs from the simulation because commands act 0.15 s late" in page.text()
+        assert "The robot departs from the simulation because the marker is turned by" in page.text()
         assert page.evaluate("document.images.length") > 3
         assert page.evaluate("[...document.images].every(image => image.complete && image.naturalWidth > 0)")
         assert page.errors == []

@@ -44,9 +44,9 @@ CAPTIONS = {
     "neighbours": "Error over the distance to the nearest vehicle",
     "vehicle": "Error vehicle by vehicle",
     "spread": "How large the errors are, beside the ordinary noise, of which 0.3 % is beyond ±3",
-    "calm": "Errors over the place, the heading and the session: none on average, wherever one looks",
+    "calm": "Errors over the place, the heading and the session: no more on average than chance makes",
     "calm_beside_units": "Errors beyond what vehicles have of their own, over the place, the heading and the session: "
-    "none on average, wherever one looks",
+    "no more on average than chance makes",
     "posterior": "Posterior probability of each set of causes, among all sets that were fitted",
     "runs": "Whole runs that nothing was fitted to, predicted from the first pose and the commands alone: a typical "
     "one and a bad one",
@@ -191,7 +191,8 @@ def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
         words=sentences,
         questions=QUESTIONS,
         bars=gain_bars(diagnosis),
-        windows=window_rows(diagnosis),
+        noise=noise_words(diagnosed),
+        windows=window_rows(diagnosis, robot.period_s),
         leading=leading,
         posterior=drawn.get("posterior"),
         runs=drawn.get("runs"),
@@ -213,10 +214,28 @@ def gain_bars(diagnosis: DiagnosisResult) -> list[Bars]:
     return [_bars(title, one, unit, diagnosis) for title, (one, unit) in bars.items() if one]
 
 
-def window_rows(diagnosis: DiagnosisResult) -> list[WindowRow]:
-    """Return open loop over windows as rows of a table; none where no run was long enough, or in older results."""
+def noise_words(diagnosed: SavedDiagnosis) -> str:
+    """Return how large the errors of one period are on held-out runs, in standard deviations of the ordinary noise."""
+    rows = diagnosed.held_out
+    if not rows.any():
+        return ""
+    residuals = [diagnosed.residual_before] + [diagnosed.residual_after] * (diagnosed.result.extension != "none")
+    sizes = [f"{np.sqrt(np.nanmean(residual[rows] ** 2)):.2f}" for residual in residuals]
+    return (
+        f"In standard deviations of the ordinary noise, of position and heading together, errors after one period are "
+        f"{' → '.join(sizes)} (root mean square; noise alone: 1)."
+    )
+
+
+def window_rows(diagnosis: DiagnosisResult, period_s: float) -> list[WindowRow]:
+    """Return open loop over windows as rows of a table; none where no run was long enough, or in older results.
+
+    A window of ten periods is told elsewhere, where that is known.
+    """
     rows = []
     for one in diagnosis.gain.open_loop_windows:
+        if diagnosis.gain.ten_periods_mm and math.isclose(one.window_s, 10 * period_s):
+            continue
         decimals = _decimals(one.before)
         before, after = (
             f"{mean:.{decimals}f} ± {spread:.{decimals}f}{SPACE}mm"

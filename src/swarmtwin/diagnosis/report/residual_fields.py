@@ -135,10 +135,10 @@ def field_choices(transitions: Transitions, parts: dict[str, np.ndarray]) -> dic
     say nothing about, or too little, are left out.
     """
     robot, block = transitions.robot, blocks_of(transitions)
-    change = transitions.previous_command - transitions.command
+    change = transitions.command - transitions.previous_command
     possible: dict[str, tuple[list[tuple[Axis, ...]], Sequence[str]]] = {
         "command": (_pairs(_command_axes(robot, transitions.command, "{}")), VEHICLE_FRAME),
-        "previous_command": (_pairs(_command_axes(robot, change, "previous − new {}")), VEHICLE_FRAME),
+        "previous_command": (_pairs(_command_axes(robot, change, "new − previous {}")), VEHICLE_FRAME),
         "place": ([_place_axes(transitions)], ARENA_FRAME),
         "heading": ([(_heading_axis(transitions),)], ARENA_FRAME),
         "time": ([(_time_axis(transitions, block),)], VEHICLE_FRAME),

@@ -1,5 +1,6 @@
 """Pictures of a diagnosis: where the residual is, its spread, and held-out runs, before and after the extension."""
 
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from swarmtwin.diagnosis.report.residual_fields import Axis, Field, FieldChoice, binned
+from swarmtwin.diagnosis.report.sentences import COMPONENTS
 from swarmtwin.plotting import FLOOR, MEASURED, PREDICTED, style
 from swarmtwin.robot import Arena
 from swarmtwin.simulation.open_loop import OpenLoop
@@ -55,16 +57,17 @@ def calm_figure(choices: Sequence[FieldChoice], parts: Parts, block: np.ndarray)
     fields = [binned(choice.axes, parts[choice.component], block) for choice in choices]
     scale = max(1.0, _scale(fields))
     with style():
-        figure = Figure(figsize=(WIDTH_INCHES, 2.9), layout="constrained")
+        figure = Figure(figsize=(WIDTH_INCHES, 3.2), layout="constrained")
         for panel, choice, field in zip(
             figure.subplots(1, len(choices), squeeze=False)[0], choices, fields, strict=True
         ):
             draw_field(panel, choice, field, scale, FLOOR)
             _label_upwards(panel, choice)
+            panel.set_title(textwrap.fill(COMPONENTS[choice.component], 26), fontsize=8)
             if choice.is_place:
                 panel.set_aspect("equal")
             if choice.is_map:
-                figure.colorbar(panel.collections[0], ax=panel, location="top", label="error / ordinary noise")
+                figure.colorbar(panel.collections[0], ax=panel, location="bottom", label="error / ordinary noise")
     return figure
 
 
@@ -119,7 +122,7 @@ def runs_figure(before: Sequence[OpenLoop], after: Sequence[OpenLoop]) -> Figure
             _draw_run(panel, before[index], after[index] if after else None)
         for panel in panels[len(shown) :]:
             panel.set_visible(False)
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return figure
 
 
@@ -189,18 +192,24 @@ def _end(field: Field) -> float:
     return float(np.quantile(known, 1.0 if field.mean.ndim == 1 else 0.98)) if len(known) else 0.0
 
 
+def _known(poses: np.ndarray) -> np.ndarray:
+    return poses[np.isfinite(poses).all(axis=1)]
+
+
 def _draw_run(panel: Axes, before: OpenLoop, after: OpenLoop | None) -> None:
-    measured = before.track.pose[np.isfinite(before.track.pose).all(axis=1)]  # unscored poses leave no gap in the line
     predictions = {BEFORE: before} | ({AFTER: after} if after else {})
-    panel.plot(measured[:, 0], measured[:, 1], color=MEASURED, linewidth=2, label="measured")
-    for title, run in predictions.items():
-        panel.plot(run.predicted[:, 0], run.predicted[:, 1], color=COLOURS[title], label=title)
-    start = before.predicted[np.isfinite(before.predicted).all(axis=1)][0]
-    panel.plot(start[0], start[1], "o", color=MEASURED, markersize=5, label="start")
-    shown = np.concatenate([measured, *(run.predicted for run in predictions.values())])[:, :2]
-    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
+    tracks = {"measured": _known(before.track.pose)}  # unscored poses leave no gap in the line
+    tracks |= {title: _known(run.predicted) for title, run in predictions.items()}
+    colours = {"measured": MEASURED} | COLOURS
+    for title, track in tracks.items():
+        panel.plot(*track[:, :2].T, color=colours[title], linewidth=1.6 if title == "measured" else 1.1, label=title)
+    panel.plot(*tracks[BEFORE][0, :2], "o", color=MEASURED, markersize=5, label="start")
+    for number, (title, track) in enumerate(tracks.items()):
+        panel.plot(*track[-1, :2], "s", color=colours[title], markersize=5, label=None if number else "end")
+    shown = np.concatenate(list(tracks.values()))[:, :2]
+    low, high = shown.min(axis=0), shown.max(axis=0)
     reach = 0.55 * (high - low).max() + 10
     window = np.stack([(low + high) / 2 - reach, (low + high) / 2 + reach])
     panel.set(xlim=window[:, 0], ylim=window[:, 1], box_aspect=1, xlabel="x, mm", ylabel="y, mm")
     errors = " → ".join(f"{run.rmse_mm:.0f}" for run in predictions.values())
-    panel.set_title(f"{before.track.run}: {errors} mm off on average", loc="left", parse_math=False)
+    panel.set_title(f"{before.track.run}: RMSE {errors} mm", loc="left", parse_math=False)

@@ -86,18 +86,24 @@ def cause_set_title(causes: Sequence[str]) -> str:
 
 
 def _wrong_and_to_do(causes: Sequence[Cause]) -> list[tuple[str, str]]:
-    """Return what is wrong, each with what to repair or check; two causes that say one wheel is weak are one."""
+    """Return what is wrong, each with what to repair or check, causes without a rival first.
+
+    Two causes that say that one wheel is weak are one.
+    """
     weak = _weak_wheel(causes)
     others = [cause for cause in causes if not weak or cause.name not in ONE_WHEEL]
-    told = [(f"{cause_summary(cause)}{_or_rival(cause)}", mechanism_class(cause.name).remedy) for cause in others]
+    surest_first = sorted(others, key=lambda cause: bool(cause.rivals))
+    told = [(f"{cause_summary(cause)}{_or_rival(cause)}", mechanism_class(cause.name).remedy) for cause in surest_first]
     if weak is None:
         return told
     return [(f"the {weak[0]} wheel runs at {weak[1]:.2f} of its speed", "check its motor, gear and tyre"), *told]
 
 
 def _or_rival(cause: Cause) -> str:
-    rivals = [cause_title(rival) for rival in cause.rivals]
-    return f" (less likely, but not excluded: {enumeration(rivals, last=' or ')})" if rivals else ""
+    if not cause.rivals:
+        return ""
+    rivals = enumeration([cause_title(rival) for rival in cause.rivals], last=" or ")
+    return f" (probability {probability_words(cause.confidence)}; less likely, but not excluded: {rivals})"
 
 
 def _weak_wheel(causes: Sequence[Cause]) -> tuple[str, float] | None:
@@ -122,8 +128,11 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
     if diagnosis.verdict == "no_gap":
         if other := max((one for one in diagnosis.units if one.is_unusual), key=_unlike, default=None):
             remedy = "calibrate it, or learn the simulation from it as well"
-            return f"Nothing is wrong beyond how units differ: {unit_words(other)}{DASH}{remedy}."
-        return "Nothing is wrong: the robot does what the simulation says, within its ordinary noise; go on with it."
+            return f"No gap was found beyond how units differ: {unit_words(other)}{DASH}{remedy}."
+        return (
+            "No gap was found: within its ordinary noise the robot does what the simulation says, as far as this "
+            "recording can show it; go on with the simulation."
+        )
     found = [f"{wrong}{DASH}{remedy}" for wrong, remedy in _wrong_and_to_do(diagnosis.causes)]
     because = enumeration(found, "; ", "; and because ")
     if diagnosis.verdict == "explained":
@@ -218,7 +227,8 @@ def limit_words(limit: DetectionLimit) -> str:
     usual = parameter.null_value or 0.0 if parameter and not limit.unit else 0.0
     size = factor * abs(limit.value - usual)
     decimals = max(0, 1 - math.floor(math.log10(size))) if size > 0 else 0
-    return f"{_number(factor * limit.value, min(decimals, 4))}{sign}"
+    weaker = " or less" if parameter and parameter.null_value == parameter.high else ""
+    return f"{_number(factor * limit.value, min(decimals, 4))}{sign}{weaker}"
 
 
 def measured_by(limit: DetectionLimit) -> str:
@@ -238,7 +248,7 @@ def parameter_title(name: str) -> str:
 def limits_words(diagnosis: DiagnosisResult) -> str:
     """Return what is meant by a cause that was not found."""
     meaning = (
-        "That nothing is wrong means: nothing of these sizes. Had one of these causes been as large as stated here, "
+        "A cause that is smaller than stated here may be there all the same. Had one been as large, "
         if diagnosis.verdict == "no_gap"
         else "What was not found may still be there, if it is small. Had a cause been as large as stated here, "
     )
@@ -265,7 +275,7 @@ def posterior_words(diagnosis: DiagnosisResult) -> str:
 
 def next_recording_words(plan: NextRecording) -> str:
     """Return what to record next, and what for."""
-    drive = f"{plan.runs} runs of {plan.steps} steps with the commands in {plan.drive}"
+    drive = f"{plan.runs} runs of {plan.steps} steps with the commands in {plan.drive}, over and over"
     if plan.separates:
         apart = enumeration([cause_title(name) for name in plan.separates])
         return (
@@ -273,8 +283,11 @@ def next_recording_words(plan: NextRecording) -> str:
             f"{odds_words(plan.expected_nats)} times less likely than the right one."
         )
     most = sorted(plan.lowers.items(), key=lambda one: one[1])[:3]
-    lower = enumeration([f"{cause_title(name)} from {share_words(share)}" for name, share in most])
-    return f"To see smaller effects, record next {drive}. It would show {lower} of the sizes below."
+    lower = enumeration([f"{cause_title(name)} to {share_words(share)}" for name, share in most])
+    return (
+        f"To see smaller effects, record next {drive}. It would lower the limits below, as distances from having no "
+        f"effect: {lower} of what they are."
+    )
 
 
 def probability_words(probability: float) -> str:
