@@ -7,9 +7,10 @@ from exact_base import ExactBase, as_simulated, known_noise, session_of
 from swarmtwin.diagnosis.cause_report import likeliest_causes, reported_causes
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.detection_limits import detection_limits
+from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.next_recording import lowering_drive, next_recording
+from swarmtwin.diagnosis.next_recording import lowering_drive, next_recording, separating_drive
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
@@ -52,6 +53,14 @@ def test_driving_what_is_planned_tells_the_rivals_apart(base):
     assert left < 0.01 < runner_up
     # chance is of some four nats
     assert 0.4 * plan.expected_nats < -np.log(left) < 2.5 * plan.expected_nats
+
+
+def test_what_the_drive_separates_is_the_cause_that_has_a_rival_and_not_another_one_beside_it(base):
+    before = explained(base, late, 4)
+    found, rival = (before.posterior.of_names([name]) for name in ("command_delay", "actuator_lag"))
+    scaled = estimate(before.model, [OFFERED["gain_change"].at({"gain": 1.02}), *found.mechanisms])
+    plan, _ = separating_drive(before.model, ("command_delay", "actuator_lag"), scaled, [rival], 1)
+    assert plan.separates == ("command_delay", "actuator_lag")
 
 
 def test_the_evidence_says_by_how_much_the_nearest_rival_is_behind(base):

@@ -44,6 +44,7 @@ from swarmtwin.diagnosis.result import (
     UnitDifference,
 )
 from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, read_result, save_findings
+from swarmtwin.errors import UserError
 from swarmtwin.kinematics import differential_drive
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import mechanism_class, mechanism_names
@@ -195,14 +196,24 @@ def test_a_result_of_before_there_was_a_posterior_is_still_read(tmp_path):
     assert not (tmp_path / "figures" / "posterior.png").exists()
 
 
+def test_a_file_in_place_of_its_folder_and_one_that_is_no_text_are_refused(tmp_path):
+    save_findings(tmp_path, made_session(made_result(), moved_late))
+    file = tmp_path / "diagnosis.json"
+    with pytest.raises(UserError, match="is missing: name a folder that swarmtwin diagnose made"):
+        read_result(file)
+    file.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match=r"is damaged \(.*diagnose again"):
+        read_result(tmp_path)
+
+
 def test_what_to_record_next_where_nothing_is_wrong_is_said():
     plan = NEXT.model_copy(
         update={"separates": (), "lowers": {"command_delay": 0.6, "backlash": 0.71, "dead_band": 0.8}}
     )
     assert next_recording_words(plan).replace("\N{NO-BREAK SPACE}", " ") == (
-        "To see smaller effects, record next 20 runs of 40 steps with the commands in next_drive.csv, over and over. It "
-        "would lower the limits below, as distances from having no effect: command delay to 60 %, backlash to 71 % and "
-        "dead band to 80 % of what they are."
+        "To see smaller effects, record next 20 runs of 40 steps with the commands in next_drive.csv, over and over. "
+        "It would lower the limits below, as distances from having no effect: command delay to 60 %, backlash to 71 % "
+        "and dead band to 80 % of what they are."
     )
 
 

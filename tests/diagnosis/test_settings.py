@@ -9,10 +9,13 @@ from exact_base import ExactBase, known_noise, session_of
 
 from swarmtwin.configuration import config_folder
 from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
+from swarmtwin.diagnosis.extension import HeldOutRuns
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.screening import sought_kinds
 from swarmtwin.diagnosis.settings import DependenceSettings, DiagnosisSettings
 from swarmtwin.errors import UserError
+from swarmtwin.simulation.mechanism import Parameter, mechanism_class
 
 DEFAULT = config_folder() / "diagnosis" / "default.yaml"
 
@@ -36,6 +39,32 @@ def test_an_unknown_setting_is_refused_with_the_near_miss():
         DiagnosisSettings.parse({"search": {"most_cause": 3}}, "here")
     with pytest.raises(UserError, match=r"here: field 'dependence.false_discovery_rate'.*got 1.5"):
         DiagnosisSettings.parse({"dependence": {"false_discovery_rate": 1.5}}, "here")
+
+
+@pytest.mark.parametrize(("name", "value"), [("prior", 0), ("prior", 1), ("named_from", 1)])
+def test_a_probability_that_has_no_odds_is_refused(name, value):
+    with pytest.raises(UserError, match=rf"here: field 'search.{name}'"):
+        DiagnosisSettings.parse({"search": {name: value}}, "here")
+
+
+def test_settings_by_which_no_run_is_held_out_are_refused(robots):
+    settings = DiagnosisSettings.parse({"verdict": {"held_out_every": 50}}, "here")
+    session = session_of(ExactBase(robots["mgr"]), np.random.default_rng(1), runs=40, steps=20)
+    reference = Reference.learn(session.transitions, 1, settings=settings)
+    with pytest.raises(UserError, match="held_out_every=50 holds out no run of the 40 that were measured: lower it"):
+        HeldOutRuns(reference, session, None, session.transitions, 1)
+
+
+def test_lost_commands_by_more_than_a_probability_are_refused(robots, monkeypatch):
+    """A mechanism of somebody's own may say so; the diagnosis sums over losses that have one parameter."""
+    lost = mechanism_class("command_loss")
+    parameters = dict.fromkeys(("probability", "burst"), Parameter(0.0, 1.0, 0.0, "", (0.1,)))
+    burst = type("InBursts", (lost,), {"parameters": parameters})
+    monkeypatch.setattr("swarmtwin.diagnosis.screening.offered", lambda robot, conditions: {"in_bursts": burst})
+    base = ExactBase(robots["mgr"])
+    model = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(1), runs=4, steps=5))
+    with pytest.raises(UserError, match="mechanism in_bursts has the parameters probability, burst: the diagnosis"):
+        sought_kinds(model)
 
 
 def test_a_reference_too_short_for_the_defaults_is_long_enough_where_less_is_asked_for(robots):

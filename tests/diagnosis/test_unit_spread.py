@@ -58,7 +58,7 @@ def test_another_unit_that_differs_a_little_is_no_gap(robots, left, right):
     same_unit = model_of(robots["mgr"], moved, "1")
     either = nats(same_unit, "gain_change", gain=1.0), nats(same_unit, "actuator_asymmetry", ratio=1.0)
     assert max(either) > 2 * NAMED
-    assert not same_unit.strange
+    assert not same_unit.unknown_vehicles
 
 
 def test_another_unit_whose_wheels_start_at_other_commands_is_no_gap(robots):

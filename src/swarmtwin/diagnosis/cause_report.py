@@ -1,4 +1,4 @@
-"""Step 4. Causes as they are reported: parameters with intervals, confidence, rivals, evidence, and what would show."""
+"""Step 4. Causes as they are reported: parameters with intervals, confidence, rivals, evidence."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from swarmtwin.diagnosis.estimation import EstimatedSet
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange
-from swarmtwin.diagnosis.result import Cause, CauseSet, Estimate, EstimatedCause
+from swarmtwin.diagnosis.result import ENDS, Cause, CauseSet, Estimate, EstimatedCause
 from swarmtwin.simulation.mechanism import Mechanism
 
 
@@ -80,8 +80,7 @@ def reported_parameters(
             samples = _clock_samples(model, mechanism, rng)
         units = type(mechanism).units(model.robot, model.session.conditions)
         estimates[mechanism.name] = {
-            name: _estimate(value, samples[name], units[name], settings.interval)
-            for name, value in mechanism.reported().items()
+            name: _estimate(value, samples[name], units[name]) for name, value in mechanism.reported().items()
         }
     return estimates
 
@@ -106,10 +105,10 @@ def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str,
     return f"log-likelihood of the {searched:,} transitions that were searched rises by {nats:.0f} with it; {beside}"
 
 
-def _estimate(value: float, samples: np.ndarray, unit: str, interval: float) -> Estimate:
+def _estimate(value: float, samples: np.ndarray, unit: str) -> Estimate:
     if unit == "rad":
         samples = value + np.angle(np.exp(1j * (samples - value)))
-    low, high = np.quantile(samples, [(1 - interval) / 2, (1 + interval) / 2])
+    low, high = np.quantile(samples, ENDS)
     return Estimate(value=value, low=float(low), high=float(high), unit=unit)
 
 

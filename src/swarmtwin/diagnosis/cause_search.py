@@ -111,10 +111,6 @@ class CausePosterior:
         }
         return log.get(frozenset(names), -math.inf) > log[frozenset()]
 
-    def without(self, name: str) -> EstimatedSet:
-        """Return the most probable set without a cause."""
-        return next(one for one in self.sets if name not in one.names)
-
 
 class CauseSearch:
     """Looks for the sets of causes that share the probability.
@@ -188,7 +184,7 @@ class CauseSearch:
         What matters is what a cause changes beside the others, and little of that is evidence where other units may
         differ by as much. A cause that a unit makes up for takes nothing off what is asked of the others.
         """
-        if not self.model.strange:
+        if not self.model.unknown_vehicles:
             return float(len(one.names))
         known, shares = self._shares.get(one.fitted.kinds, (None, 0.0))
         if known is not one:

@@ -164,7 +164,7 @@ class _Limits:
 
     def _share_of_evidence(self, change: np.ndarray, length: float) -> float:
         """Return what share of a change (3 N,) is evidence, its length known, where other units may differ by it."""
-        if not self.model.strange:
+        if not self.model.unknown_vehicles:
             return 1.0
         return min(length**2 / max(float(np.repeat(self.model.weight, 3) @ change**2), 1e-12), 1.0)
 

@@ -1,13 +1,13 @@
 """From measured data to a cause with a name, an extended simulation and its gain, in four steps.
 
 1. Reference and residual: what a simulation gets wrong, in units of the noise it has where nothing is wrong
-   (`reference`, `noise`, `discrepancy`, `unit_spread`, `reference_errors`; `session_prediction` runs the simulation
-   along a session).
+   (`reference`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`, `own_units`, `reference_errors`;
+   `session_prediction` runs the simulation along a session, `quick_dynamics` nearly so in less time).
 2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
    them leaves (`explanation`, `left_over`, `varying_causes`, `gain_by_chance`, `error_history`,
-   `motion_noise_change`).
+   `beyond_reference`, `motion_noise_change`).
 4. Finding: the extended simulation and its gains on held-out runs, causes as they are reported and the leading sets,
    the smallest effects that the session would have shown, the next recording (`extension`, `gains`,
    `open_loop_pieces`, `cause_report`, `detection_limits` with `sized_causes` and `random_limits`, `next_recording`,

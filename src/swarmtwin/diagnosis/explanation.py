@@ -13,7 +13,7 @@ from swarmtwin.diagnosis.left_over import LeftOver, left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
 from swarmtwin.diagnosis.reference_errors import ReferenceErrors, outliers
-from swarmtwin.diagnosis.result import Verdict
+from swarmtwin.diagnosis.result import ENDS, Verdict
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
 
@@ -79,7 +79,7 @@ class Explanation:
 
     @property
     def _may_be_something_left(self) -> bool:
-        """Likewise, were the simulation certain."""
+        """Whether so much is left that something else may be wrong as well, were the simulation certain."""
         return self._is_too_much(self.left.by_situation, self.left.by_history, self.alarm)
 
     @property
@@ -120,7 +120,7 @@ class Explanation:
 
     def _estimates(self) -> Iterator[tuple[str, Parameter, float, float]]:
         """Yield cause, parameter and value of the best causes, and how far their intervals reach to each side."""
-        deviations = stats.norm.ppf((1 + self.model.settings.estimation.interval) / 2)
+        deviations = stats.norm.ppf(ENDS[1])
         reaches = deviations * np.sqrt(np.diag(self.best.covariance))
         parameters = self.model.parameters([type(one) for one in self.best.mechanisms])
         for (number, _, parameter), value, reach in zip(parameters, self.best.values, reaches, strict=True):

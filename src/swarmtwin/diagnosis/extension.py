@@ -18,12 +18,13 @@ from swarmtwin.diagnosis.gains import (
     not_shown_in_open_loop,
     scored_tracks,
 )
-from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.own_units import with_own_unit
 from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording, Track
-from swarmtwin.simulation.mechanisms import command_loss, noise_change
+from swarmtwin.simulation.mechanisms import noise_change
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import Transitions
@@ -57,6 +58,9 @@ class HeldOutRuns:
         measured: the recording of these.
         believable: its transitions that are no outliers.
         seed: of everything random.
+
+    Raises:
+        UserError: there are none.
     """
 
     reference: Reference
@@ -64,6 +68,15 @@ class HeldOutRuns:
     measured: Recording
     believable: Transitions
     seed: int
+
+    def __post_init__(self) -> None:
+        """Check that there are some."""
+        if not self.rows.any():
+            every = self.reference.settings.verdict.held_out_every
+            raise UserError(
+                f"diagnosis.verdict.held_out_every={every} holds out no run of the {self.session.runs} that were "
+                "measured: lower it, or record more runs"
+            )
 
     @property
     def rows(self) -> np.ndarray:
@@ -107,7 +120,7 @@ class HeldOutRuns:
             return HeldOutJudgement(None, errors, gain, None)
         usual, rng = explained.motion_noise.usual, np.random.default_rng(self.seed)
         only = explained.mechanisms[0] if len(explained.mechanisms) == 1 else None
-        if isinstance(only, command_loss.Config) and extended.noise_factor == 1.0:
+        if only and loses_commands([type(only)]) and extended.noise_factor == 1.0:
             parts = settings.held_out_every - 1
             likelihood = gain_by_loss(explained.model, self.unfitted, only, parts, settings.gain_draws, rng)
         else:

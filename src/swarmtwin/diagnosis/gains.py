@@ -10,11 +10,10 @@ from scipy import stats
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.open_loop_pieces import WindowErrors, pieces, window_errors
-from swarmtwin.diagnosis.result import Gain, Gains, WindowGain
+from swarmtwin.diagnosis.result import ENDS, Gain, Gains, WindowGain
 from swarmtwin.dynamics.evaluation import one_step_errors
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.simulation.mechanism import Mechanism
-from swarmtwin.simulation.mechanisms import command_loss
 from swarmtwin.simulation.open_loop import OpenLoop, open_loop
 from swarmtwin.simulation.simulation import Simulation
 from swarmtwin.transitions import Transitions
@@ -166,7 +165,7 @@ def likelihood_gain(
 def gain_by_loss(
     fitted: SessionLikelihood,
     unfitted: SessionLikelihood,
-    loss: command_loss.Config,
+    loss: Mechanism,
     parts: int,
     draws: int,
     rng: np.random.Generator,
@@ -180,13 +179,14 @@ def gain_by_loss(
     Args:
         fitted: of the runs that the probability was estimated in.
         unfitted: of the held-out runs.
-        loss: with the probability that was estimated.
+        loss: loses commands, with the probability that was estimated.
         parts: into which the fitted runs are cut.
         draws: bootstraps over runs.
         rng: of these.
     """
-    shares = np.clip(loss.probability * np.geomspace(0.25, 4.0, 9), 0.0, 0.9)
-    by_share = np.stack([_unlikely(fitted, [command_loss.Config(probability=float(share))]) for share in shares])
+    ((name, probability),) = loss.values().items()
+    shares = np.clip(probability * np.geomspace(0.25, 4.0, 9), 0.0, 0.9)
+    by_share = np.stack([_unlikely(fitted, [type(loss).at({name: float(share)})]) for share in shares])
     part = np.unique(fitted.session.run, return_inverse=True)[1] % parts
     chosen = np.array([by_share[:, part != number].sum(axis=1).argmin() for number in range(parts)])
     after = by_share[chosen[part], np.arange(len(part))]
@@ -230,11 +230,11 @@ def not_confirmed(gain: Gains, likelihood: Gain, immaterial: float, moves: bool 
         if likelihood.low <= 0:
             faults.append("they are not measurably more likely with it")
     elif not any(one.low > 0 for one in (gain.position_mm, gain.orientation_deg)):
-        told = f"{_told(gain.position_mm, 'mm')}, {_told(gain.orientation_deg, '°')}"
+        told = f"{_gain_text(gain.position_mm, 'mm')}, {_gain_text(gain.orientation_deg, '°')}"
         faults.append(f"neither position nor orientation is measurably better ({told})")
     for name, (one, unit) in figures.items():
         if one and one.high < -immaterial * one.before and one.after > one.before:
-            faults.append(f"the {name} is measurably worse ({_told(one, unit)})")
+            faults.append(f"the {name} is measurably worse ({_gain_text(one, unit)})")
     return " and ".join(faults) or None
 
 
@@ -248,7 +248,7 @@ def not_shown_in_open_loop(gain: Gains, moves: bool) -> str | None:
         return None
     if gain.ten_periods_mm.before == 0:
         return "no held-out run is long enough to show what it gains in open loop over ten periods"
-    return f"in open loop over ten periods it is not measurably better ({_told(gain.ten_periods_mm, 'mm')})"
+    return f"in open loop over ten periods it is not measurably better ({_gain_text(gain.ten_periods_mm, 'mm')})"
 
 
 def confirmed_from(error: np.ndarray, change: np.ndarray, run: np.ndarray, power: float = 0.9) -> float:
@@ -284,7 +284,7 @@ def _sizes(error: np.ndarray) -> np.ndarray:
     return np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])])
 
 
-def _told(gain: Gain, unit: str) -> str:
+def _gain_text(gain: Gain, unit: str) -> str:
     return f"{gain.before:.2f} → {gain.after:.2f} {unit}, 95 %: {gain.low:.2f} to {gain.high:.2f} less"
 
 
@@ -299,7 +299,7 @@ def _gain(before: np.ndarray, after: np.ndarray, run: np.ndarray, draws: int, rn
     means = float(before.mean()), float(after.mean())
     if len(sums) < 2:  # how runs differ is not known: it may be anything from all that errors are to as much again
         return Gain(before=means[0], after=means[1], low=-abs(means[1]), high=abs(means[0]))
-    ends = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), [0.025, 0.975])
+    ends = np.quantile(drawn[:, 0] / np.maximum(drawn[:, 1], 1), ENDS)
     mean = float((before - after).mean())
     error = math.sqrt(((sums[:, 0] - mean * sums[:, 1]) ** 2).sum()) / len(before)
     low, high = mean + (ends - mean) * 2 * error * _interval_size(len(sums)) / max(np.ptp(ends), 1e-12)
@@ -312,4 +312,4 @@ def _interval_size(runs: int) -> float:
     These are too narrow by one in `runs` in variance, and know nothing of the error of a variance, as Student's t does
     (Efron and Tibshirani, 1993, chapter 12): bootstraps say how an interval leans, and t how wide it is.
     """
-    return float(stats.t.ppf(0.975, runs - 1)) * math.sqrt(runs / (runs - 1))
+    return float(stats.t.ppf(ENDS[1], runs - 1)) * math.sqrt(runs / (runs - 1))

@@ -84,7 +84,7 @@ class SessionLikelihood(SessionErrors):
         base: the simulation.
         noise: of errors that it was not fitted to.
         session: of N transitions.
-        known_vehicles: ids of the vehicles that the simulation was learned from; empty: all of the session.
+        known_vehicles: ids of the vehicles that the simulation was learned from; None: all of the session.
         unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
         discrepancy: what the simulation gets wrong of its own reference as well; None: nothing is known of that.
         settings: of the diagnosis; None: the defaults.
@@ -98,7 +98,7 @@ class SessionLikelihood(SessionErrors):
         base: DynamicsModel,
         noise: Noise,
         session: MeasuredSession,
-        known_vehicles: tuple[str, ...] = (),
+        known_vehicles: tuple[str, ...] | None = None,
         unit_spread: float | None = None,
         discrepancy: Discrepancy | None = None,
         settings: DiagnosisSettings | None = None,
@@ -304,12 +304,12 @@ class SessionLikelihood(SessionErrors):
 
     def explained_by(self, mechanisms: Sequence[Mechanism]) -> "SessionLikelihood":
         """Return it with the noise of what mechanisms leave."""
-        known = [vehicle for vehicle in self.session.transitions.vehicles if vehicle not in self.strange]
+        known = [vehicle for vehicle in self.session.transitions.vehicles if vehicle not in self.unknown_vehicles]
         other = SessionLikelihood(
             self.predictor.base,
             self.reference_noise,
             self.session,
-            tuple(known) or ("none",),
+            tuple(known),
             self.unit_spread,
             self._discrepancy,
             self.settings,

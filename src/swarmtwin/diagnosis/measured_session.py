@@ -9,7 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from swarmtwin.geometry import log_map, rotate, wrap_angle
+from swarmtwin.geometry import log_map, wrap_angle
 from swarmtwin.learning.situation import Situation
 from swarmtwin.recordings.recording import Sent, Track
 from swarmtwin.recordings.resampling import mean_held
@@ -81,7 +81,6 @@ class MeasuredSession:
         twist: (N, 3) measured twists over one period: forward_mm, left_mm, turn_rad.
         run: (N,) numbers from 0 in order of time: the blocks of every statistic.
         follows: (N,) index of the transition just before, of the same vehicle and run; −1 where there is none.
-        turned_rad: (N,) angle from the middle of that transition to the middle of this one, 0 where there is none.
         sent: the commands as they were sent; None where each is sent at the beginning of its period.
     """
 
@@ -91,7 +90,6 @@ class MeasuredSession:
     twist: Tensor
     run: np.ndarray
     follows: np.ndarray
-    turned_rad: Tensor
     sent: SentCommands | None = None
 
     @classmethod
@@ -114,11 +112,9 @@ class MeasuredSession:
             neighbours=torch.as_tensor(known.neighbours),
         )
         follows = known.just_before()
-        turn_before = twist[np.maximum(follows, 0), 2]
-        turned = torch.where(torch.as_tensor(follows >= 0), (turn_before + twist[:, 2]) / 2, torch.zeros(len(twist)))
         _, run = np.unique(known.run, return_inverse=True)
         log = SentCommands(sent, known, 2 * known.robot.longest_gap_s) if sent else None
-        return cls(known, situation, conditions, twist, run, follows, turned.double(), log)
+        return cls(known, situation, conditions, twist, run, follows, log)
 
     def __len__(self) -> int:
         return len(self.twist)
@@ -185,11 +181,6 @@ class MeasuredSession:
         """Return measured minus simulated twists (N, 3), the angle wrapped."""
         difference = self.twist - twist
         return torch.cat([difference[:, :2], wrap_angle(difference[:, 2:])], dim=-1)
-
-    def before(self, residual: Tensor) -> Tensor:
-        """Return the residual (N, 3) of the transition before each, turned into its frame; any where there is none."""
-        earlier = residual[np.maximum(self.follows, 0)]
-        return torch.cat([rotate(earlier[:, :2], -self.turned_rad), earlier[:, 2:]], dim=-1)
 
     def covariate_overlap(self, other: "MeasuredSession", neighbours: int) -> np.ndarray:
         """Return (N of other,) how often its transitions are among those nearest to ours, by commands.

@@ -20,8 +20,8 @@ class MotionNoiseChange(NamedTuple):
 
     Attributes:
         factor: on its standard deviation.
-        low: of the 95 % interval.
-        high: of it, what sessions of one robot differ by included.
+        low: lower end of its 95 % interval, which includes what sessions of one robot differ by.
+        high: upper end of that interval.
         probability: that this is a cause, and no difference that two sessions of one robot have.
         usual: factor that the reference's own motion shows, measured likewise: the first one is beside it.
     """
@@ -61,7 +61,7 @@ def usual_noise_spread(model: SessionLikelihood, mechanisms: Sequence[Mechanism]
     """
     settings = model.settings.motion_noise
     moved = [one for one in mechanisms if one.stage not in AFTER_MOTION and not loses_commands([type(one)])]
-    usual = settings.usual_spread_beside if moved or model.strange else settings.usual_spread
+    usual = settings.usual_spread_beside if moved or model.unknown_vehicles else settings.usual_spread
     if model.has_momentum:
         usual = max(usual, settings.usual_spread_with_momentum)
     driven = model.simulated.numpy()

@@ -40,7 +40,8 @@ def next_recording(
         rivals = posterior.rivals(name, search.rival_from)
         if rivals:
             rival = next(one for one in posterior.sets if rivals[0] in one.names and name not in one.names)
-            return separating_drive(explained.model, explained.best, _in_all_forms(explained.model, rival), seed)
+            forms = _in_all_forms(explained.model, rival)
+            return separating_drive(explained.model, (name, rivals[0]), explained.best, forms, seed)
     return lowering_drive(explained.model, limits, seed) if explained.verdict == "no_gap" else (None, None)
 
 
@@ -59,7 +60,11 @@ def _in_all_forms(model: SessionLikelihood, found: EstimatedSet) -> list[Estimat
 
 
 def separating_drive(
-    model: SessionLikelihood, found: EstimatedSet, rivals: Sequence[EstimatedSet], seed: int
+    model: SessionLikelihood,
+    names: tuple[str, str],
+    found: EstimatedSet,
+    rivals: Sequence[EstimatedSet],
+    seed: int,
 ) -> tuple[NextRecording, np.ndarray]:
     """Return the drive, of several candidates, under which two explanations differ most, and its commands (P, m).
 
@@ -68,6 +73,7 @@ def separating_drive(
 
     Args:
         model: of the session in hand.
+        names: of the cause that is to be told apart, and of the other one.
         found: one explanation.
         rivals: the other one, in all the forms that it may take: that is meant which differs least.
         seed: of the candidates.
@@ -81,7 +87,6 @@ def separating_drive(
     nats_a_run = nats[best] * settings.steps
     wanted = np.ceil(settings.enough_nats / max(nats_a_run, 1e-3))
     runs = int(np.clip(wanted, settings.fewest_runs, settings.most_runs))
-    names = tuple(next(name for name in these.names if name not in others.names) for these, others in pairs[:2])
     plan = NextRecording(
         separates=names,
         drive=DRIVE_FILE,

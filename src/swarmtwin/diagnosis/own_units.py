@@ -21,13 +21,13 @@ def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> t
     By the likeliest sizes of the random effects of units beside the causes that are named, and how sure these are; over
     all of the session's motion, least squares.
     """
-    if not model.strange:
+    if not model.unknown_vehicles:
         return ()
     effects = model.effects if loses_commands([type(one) for one in causes]) else model.effects_with(causes)
     directions, sizes = np.stack(list(unit_effects(model)), axis=-1), effects.sizes(model.evaluate(causes).whitened)
     motion = model.predictor.twist(arriving(causes)).numpy()
     transitions, told = model.session.transitions, []
-    for vehicle in model.strange:
+    for vehicle in model.unknown_vehicles:
         own = transitions.vehicle == transitions.vehicles.index(vehicle)
         way, turn = (_factor(effects, sizes, directions[own, axis], motion[own, axis]) for axis in (0, 2))
         told.append(UnitDifference(vehicle=vehicle, way=way, turn=turn, usual=model.unit_spread))
@@ -65,7 +65,7 @@ def with_own_unit(
         model: of the session.
         alone: of the same session, no unit expected to differ.
     """
-    if len(model.strange) != 1 or len(model.session.transitions.vehicles) != 1:
+    if len(model.unknown_vehicles) != 1 or len(model.session.transitions.vehicles) != 1:
         return causes
     kinds = offered(model.robot, model.session.conditions) | {"gain_change": OwnGain}
     known = {one.name for one in causes}

@@ -135,7 +135,7 @@ def smooth_functions(robot: Robot, given: Situation) -> np.ndarray:
 
 def unit_effects(model: SessionErrors) -> Iterator[np.ndarray]:
     """Yield (N, 3) what vehicles that the reference does not know may do otherwise, by fabrication."""
-    if not model.strange:
+    if not model.unknown_vehicles:
         return
     given = model.session.situation
     assert given.command is not None
@@ -147,7 +147,7 @@ def unit_effects_of_outcomes(model: SessionErrors) -> np.ndarray:
     """Return (N, 3, 4, K) these effects by which commands arrived, of the simulation without mechanisms."""
     twists, commands = model.predictor.outcomes(()), model.predictor.outcome_commands()
     outcomes = [
-        list(_unit_effects(model, twist, given)) if model.strange else []
+        list(_unit_effects(model, twist, given)) if model.unknown_vehicles else []
         for twist, given in zip(twists, commands, strict=True)
     ]
     empty = np.zeros((len(model.session), 3, 0))
@@ -157,7 +157,7 @@ def unit_effects_of_outcomes(model: SessionErrors) -> np.ndarray:
 def _unit_effects(model: SessionErrors, center: Tensor, commands: tuple[Tensor, Tensor]) -> Iterator[np.ndarray]:
     """Yield (N, 3) what strange vehicles may do otherwise than twists (N, 3) under commands now and before."""
     transitions = model.session.transitions
-    for vehicle in model.strange:
+    for vehicle in model.unknown_vehicles:
         own = torch.as_tensor(transitions.vehicle == transitions.vehicles.index(vehicle))[:, None]
         changes = unit_changes(model.predictor, center, model.session, commands)
         for change in changes + unit_starts(model.predictor, center, model.session, commands):

@@ -186,7 +186,7 @@ class Reference:
             self.tabulated or self.base,
             self.noise,
             session,
-            self.vehicles,
+            self.vehicles or None,
             self.unit_spread,
             self.discrepancy,
             self.settings,

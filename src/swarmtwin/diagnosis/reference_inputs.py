@@ -34,7 +34,7 @@ def reference_for(
         reference: a recording in which nothing is wrong; where no simulation is given, one is learned from it.
         name: what messages call it.
         folder: a trained simulation; without a reference it is compared with its own evidence.
-        situation: what a simulation learned here looks at, None to choose by validation.
+        situation: what a simulation learned here looks at; None: what the robot's file says, and the previous command.
         settings: of the diagnosis.
         device: where a trained simulation predicts.
         seed: of what is learned here.

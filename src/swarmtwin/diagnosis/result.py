@@ -25,6 +25,8 @@ Number = Annotated[float, AfterValidator(_significant)]
 
 Share = Annotated[float, Field(ge=0, le=1), AfterValidator(_significant)]
 
+ENDS = (0.025, 0.975)  # quantiles at which an interval ends
+
 
 class Estimate(StrictModel):
     """A parameter of a mechanism, with the 95 % interval that holds the true one in 95 of 100 sessions."""

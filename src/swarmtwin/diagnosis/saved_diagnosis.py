@@ -92,9 +92,9 @@ def read_result(folder: Path) -> DiagnosisResult:
     file = folder / RESULT
     try:
         return DiagnosisResult.parse(json.loads(file.read_text()), str(file))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"{file} is missing: name a folder that swarmtwin diagnose made") from None
-    except json.JSONDecodeError as error:
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{file} is damaged ({error}): diagnose again") from None
 
 

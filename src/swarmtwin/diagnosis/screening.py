@@ -13,6 +13,7 @@ from swarmtwin.diagnosis.likelihood import (
     arriving,
     loses_commands,
 )
+from swarmtwin.errors import UserError
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
 from swarmtwin.simulation.mechanisms import gain_change
@@ -46,8 +47,21 @@ class Candidate:
 
 
 def sought_kinds(model: SessionLikelihood) -> dict[str, MechanismClass]:
-    """Return the mechanisms that are looked for in a session, by name: those that change what is expected."""
+    """Return the mechanisms that are looked for in a session, by name: those that change what is expected.
+
+    How random the motion is, is measured by itself (`motion_noise_change`).
+
+    Raises:
+        UserError: one loses commands by a law that is not that of a single probability.
+    """
     found = offered(model.robot, model.session.conditions)
+    for name, kind in found.items():
+        parameters = kind.parameters_of(model.robot, model.session.conditions)
+        if loses_commands([kind]) and len(parameters) != 1:
+            raise UserError(
+                f"mechanism {name} has the parameters {', '.join(parameters)}: the diagnosis knows lost commands by "
+                "one, their probability; give the others fixed values, or take the mechanism's file away"
+            )
     return {name: kind for name, kind in found.items() if kind.noise_factor is Mechanism.noise_factor}
 
 

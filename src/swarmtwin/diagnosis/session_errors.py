@@ -32,7 +32,7 @@ class SessionErrors:
         base: the simulation.
         noise: of errors that it was not fitted to.
         session: of N transitions.
-        known_vehicles: ids of the vehicles that the simulation was learned from; empty: all of the session.
+        known_vehicles: ids of the vehicles that the simulation was learned from; None: all of the session.
         unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
         settings: of the diagnosis; None: the defaults.
         explained: mechanisms that are known to be there, so that the noise is that of what they leave.
@@ -44,7 +44,7 @@ class SessionErrors:
         base: DynamicsModel,
         noise: Noise,
         session: MeasuredSession,
-        known_vehicles: tuple[str, ...] = (),
+        known_vehicles: tuple[str, ...] | None = None,
         unit_spread: float | None = None,
         settings: DiagnosisSettings | None = None,
         explained: Sequence[Mechanism] = (),
@@ -60,10 +60,10 @@ class SessionErrors:
         self.simulated = self.predictor.twist(())
         self._measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
         self._nowhere = torch.zeros_like(self._measured)
-        self.strange = tuple(
+        self.unknown_vehicles = tuple(
             vehicle
             for vehicle in (session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle))
-            if known_vehicles and vehicle not in known_vehicles
+            if known_vehicles is not None and vehicle not in known_vehicles
         )
         self.unit_spread = self.settings.units.spread if unit_spread is None else unit_spread
 

@@ -1,4 +1,4 @@
-"""What can be set of a diagnosis: every threshold, with its default and what it decides.
+"""What can be set of a diagnosis: thresholds, each with its default and what it decides.
 
 The defaults stand in `conf/diagnosis/default.yaml` as well; a test compares both. They were chosen on stand-ins, in
 sessions other than those that the hidden-effects study reports on, but for `least_nats_a_transition` and
@@ -13,6 +13,7 @@ from swarmtwin.robot import Positive, StrictModel
 
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Probability = Annotated[float, Field(gt=0, lt=1)]
 NonNegative = Annotated[float, Field(ge=0)]
 Candidates = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
@@ -159,7 +160,6 @@ class EstimationSettings(StrictModel):
         surface_resamples: and resamples of the runs.
         draws: of the parameters for their intervals.
         clock_bootstraps: resamples of the runs for what is read off the clock.
-        interval: probability that an interval holds.
         form: as `likelihood.form`, for intervals: a form that is wrong by a seventh of its effect, whose square is
             `search.least_share_beside`.
     """
@@ -172,7 +172,6 @@ class EstimationSettings(StrictModel):
     surface_resamples: Count = 200
     draws: Count = 1000
     clock_bootstraps: Count = 200
-    interval: Share = 0.95
     form: Positive = 0.14
 
 
@@ -203,7 +202,7 @@ class SearchSettings(StrictModel):
         reported_sets: sets of causes whose probability is kept in the result, at most.
     """
 
-    prior: Share = 0.05
+    prior: Probability = 0.05
     least_nats_a_transition: NonNegative = 0.01
     least_share_beside: NonNegative = 0.02
     least_share_late: NonNegative = 0.08
@@ -214,7 +213,7 @@ class SearchSettings(StrictModel):
     fitted_pairs: Count = 4
     kept_sets: Count = 2
     least_promise: Positive = 3.0
-    named_from: Share = 0.9
+    named_from: Probability = 0.9
     reported_from: Share = 0.5
     rival_from: Share = 0.02
     reported_sets: Count = 8

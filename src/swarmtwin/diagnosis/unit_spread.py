@@ -1,4 +1,4 @@
-"""What a reference shows of how far its simulation, and other units of its robot, may be off: that is no gap."""
+"""What a reference shows of how far units of its robot differ: that is no gap."""
 
 import math
 

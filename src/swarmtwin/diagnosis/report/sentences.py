@@ -67,12 +67,12 @@ def value_words(name: str, estimate: Estimate) -> str:
 
 def cause_words(cause: EstimatedCause) -> str:
     """Return what a cause is, its numbers with their intervals."""
-    return _told(cause, estimate_words)
+    return _filled_words(cause, estimate_words)
 
 
 def cause_summary(cause: Cause) -> str:
     """Return what a cause is, its numbers alone."""
-    return _told(cause, value_words)
+    return _filled_words(cause, value_words)
 
 
 def cause_title(name: str) -> str:
@@ -269,7 +269,7 @@ def posterior_words(diagnosis: DiagnosisResult) -> str:
         )
     return (
         "These probabilities assume that the true causes are in the catalogue. A cause is named where the sets that "
-        "hold it, or one that looks the same, have 90 % together."
+        "hold it, or one that looks the same, have most of the probability together (90 %, if not set otherwise)."
     )
 
 
@@ -319,7 +319,7 @@ class _Told(NamedTuple):
         return directions.split("/")[self.is_negative] if directions else self.words
 
 
-def _told(cause: EstimatedCause, tell: Callable[[str, Estimate], str]) -> str:
+def _filled_words(cause: EstimatedCause, tell: Callable[[str, Estimate], str]) -> str:
     """Fill in a cause's words; what this robot does not have stays empty."""
     mechanism = mechanism_class(cause.name)
     directed = {name for _, name, directions, _ in Formatter().parse(mechanism.words) if directions}

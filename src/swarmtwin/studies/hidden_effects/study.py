@@ -1,7 +1,8 @@
 """`swarmtwin experiment name=hidden_effects`: hide effects in stand-ins, and count what the diagnosis makes of them.
 
-Every cause of the catalogue, clear and faint; two and three at once; what no catalogue knows; sessions with nothing
-wrong: on several families of stand-ins, each session with a reference of its own. The diagnosis sees two recordings.
+Every cause of the catalogue, clear and faint; two and three at once; causes by another law than their mechanisms';
+what no catalogue knows; sessions with nothing wrong: on several families of stand-ins, each session with a reference of
+its own. The diagnosis sees two recordings.
 """
 
 import json

@@ -81,18 +81,18 @@ def readings(robot: str) -> tuple[Reading, ...]:
 def _of_the_car() -> tuple[Reading, ...]:
     rotor_per_s = Car.motor_constant**2 / (Car.resistance * Car.rotor_inertia)
     return (
-        Reading("gain_change", ({"left_radius": 1.0, "right_radius": 1.0},), _told("gain", 1.0)),
-        Reading("actuator_asymmetry", ({"voltage_ratio": 1.0},), _told("ratio", 1.0)),
+        Reading("gain_change", ({"left_radius": 1.0, "right_radius": 1.0},), _read_as("gain", 1.0)),
+        Reading("actuator_asymmetry", ({"voltage_ratio": 1.0},), _read_as("ratio", 1.0)),
         Reading("dead_band", ({"left_friction": 1.0, "right_friction": 1.0},), lambda sizes: {}, 0.0),
-        Reading("actuator_lag", ({"rotor": rotor_per_s},), _told("time_constant_s"), 0.0),
+        Reading("actuator_lag", ({"rotor": rotor_per_s},), _read_as("time_constant_s"), 0.0),
     )
 
 
 def _of_the_swimmer() -> tuple[Reading, ...]:
     return (
-        Reading("gain_change", ({"stroke": 1.0},), _told("gain", 1.0)),
-        Reading("actuator_asymmetry", ({"trim": 1.0},), _told("angle_rad")),
-        Reading("actuator_lag", ({"setting_s": 1.0 / Swimmer.setting_s},), _told("time_constant_s"), 0.0),
+        Reading("gain_change", ({"stroke": 1.0},), _read_as("gain", 1.0)),
+        Reading("actuator_asymmetry", ({"trim": 1.0},), _read_as("angle_rad")),
+        Reading("actuator_lag", ({"setting_s": 1.0 / Swimmer.setting_s},), _read_as("time_constant_s"), 0.0),
     )
 
 
@@ -100,13 +100,13 @@ def _of_the_setting() -> tuple[Reading, ...]:
     return (
         Reading("steady_drift", ({"carried_x_mm_s": 1.0}, {"carried_y_mm_s": 1.0}), _told_drift),
         Reading("marker_offset", ({"marker_forward_mm": 1.0}, {"marker_left_mm": 1.0}), _told_offset),
-        Reading("marker_yaw", ({"marker_rad": 1.0},), _told("angle_rad")),
-        Reading("camera_scale", ({"camera_gain": 1.0},), _told("scale", 1.0)),
-        Reading("command_delay", ({"delay_s": 1.0},), _told("delay_s"), 0.0),
+        Reading("marker_yaw", ({"marker_rad": 1.0},), _read_as("angle_rad")),
+        Reading("camera_scale", ({"camera_gain": 1.0},), _read_as("scale", 1.0)),
+        Reading("command_delay", ({"delay_s": 1.0},), _read_as("delay_s"), 0.0),
     )
 
 
-def _told(name: str, nothing: float = 0.0) -> Callable[[np.ndarray], dict[str, float]]:
+def _read_as(name: str, nothing: float = 0.0) -> Callable[[np.ndarray], dict[str, float]]:
     return lambda sizes: {name: nothing + float(sizes[0])}
 
 

@@ -1,7 +1,9 @@
 """An oracle that knows all but the cause: the stand-in's own equations, its unit, its noise, its effects as physics.
 
 What it makes of a session is the limit of what anyone can: the diagnosis has a learned simulation in the equations'
-place, and mechanisms in that of the effects. It sees what a laboratory records, and no more of the session itself.
+place, and mechanisms in that of the effects. Of the session itself it sees what a laboratory records, and a little
+more: how large the camera's noise is, where a run began whose first picture is missing, and, where chance has heavy
+tails, a twin of the session in which nothing hides.
 """
 
 import math

@@ -70,7 +70,8 @@ class TrueLikelihood:
     counted: the likelihood is that of all further pictures given the first.
 
     Attributes:
-        driven: what the stand-in yielded; its states are looked at for the size of the camera's noise alone.
+        driven: what the stand-in yielded. Its states and effects are looked at for the size of the camera's noise, its
+            poses for where runs began whose first picture is missing, and for where chance moves states.
         measured: (R, T + 1, V, 3) poses as recorded, NaN where there is none.
         chance: how surprises are distributed.
     """
