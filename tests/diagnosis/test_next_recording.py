@@ -1,5 +1,7 @@
 """The next recording: driving what is planned tells rivals apart, or shows effects as small as was said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exact_base import ExactBase, as_simulated, known_noise, session_of
@@ -74,7 +76,27 @@ def test_the_evidence_says_by_how_much_the_nearest_rival_is_behind(base):
     behind = sets["command_delay",] - sets["actuator_lag",]
     assert behind > 0
     assert f"the most probable set without it, actuator_lag, is less probable by {behind:.1f} nats" in cause.evidence
-    assert f"of the {len(found.model.session)} transitions that were searched rises by" in cause.evidence
+    assert f"log-likelihood of {len(found.model.session)} transitions rises by" in cause.evidence
+
+
+def test_shares_of_the_gap_are_told_also_where_the_search_fitted_no_part_of_the_causes(base):
+    found = explained(base, lambda moment: 1.15 * late(moment, 0.12), 6)
+    assert set(found.names) == {"command_delay", "gain_change"}
+    kept = [number for number, one in enumerate(found.posterior.sets) if len(one.names) != 1]
+    posterior = replace(
+        found.posterior,
+        sets=tuple(found.posterior.sets[number] for number in kept),
+        log_probability=found.posterior.log_probability[kept],
+        log_odds_against=found.posterior.log_odds_against[kept],
+    )
+    shares = [
+        {
+            cause.name: cause.share_of_gap
+            for cause in reported_causes(one, likeliest_causes(one, np.random.default_rng(0)))
+        }
+        for one in (found, replace(found, posterior=posterior))
+    ]
+    assert shares[1] == pytest.approx(shares[0], abs=0.02)
 
 
 @pytest.mark.parametrize("periods", [402, 410])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
-from swarmtwin.diagnosis.estimation import EstimatedSet
+from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange
@@ -25,7 +25,7 @@ def likeliest_causes(explained: Explanation, rng: np.random.Generator) -> tuple[
 def reported_causes(explained: Explanation, likeliest: Sequence[EstimatedCause]) -> tuple[Cause, ...]:
     """Return those of the likeliest causes that stand, by share of the gap, and noise that changed."""
     posterior, settings = explained.posterior, explained.model.settings.search
-    nats = {name: _missed_nats(explained, name) for name in explained.names}
+    nats, transitions = _missed_nats(explained)
     total = sum(max(one, 1e-9) for one in nats.values())
     causes = []
     estimated = {one.name: one for one in likeliest}
@@ -40,7 +40,7 @@ def reported_causes(explained: Explanation, likeliest: Sequence[EstimatedCause])
                 confidence=posterior.probability(name),
                 rivals=rivals,
                 share_of_gap=float(np.clip(share, 0.0, 1.0)),
-                evidence=_evidence(explained, name, nats[name], rivals),
+                evidence=_evidence(explained, name, nats[name], transitions, rivals),
             )
         )
     if explained.names_motion_noise:
@@ -85,24 +85,32 @@ def reported_parameters(
     return estimates
 
 
-def _missed_nats(explained: Explanation, name: str) -> float:
-    """Return by how many nats the session is less likely without a cause, the others beside it fitted anew."""
-    posterior, names = explained.posterior, explained.best.names
-    together = posterior.of_names(names) or posterior.best
-    beside = posterior.of_names([other for other in names if other != name]) or posterior.nothing
-    return together.fitted.total - beside.fitted.total
+def _missed_nats(explained: Explanation) -> tuple[dict[str, float], int]:
+    """Return by how many nats a session is less likely without each cause, the others fitted anew, and its transitions.
+
+    That is the part of the session that was searched; all that was fitted to, where the search fitted some of these
+    sets of causes not.
+    """
+    best, posterior = explained.best, explained.posterior
+    others = {name: [one for one in best.mechanisms if one.name != name] for name in explained.names}
+    together = posterior.of_names(best.names)
+    beside = {name: posterior.of_names([one.name for one in rest]) for name, rest in others.items()}
+    if together is None or not all(beside.values()):
+        together = best
+        beside = {name: estimate(explained.model, rest, polish=True) for name, rest in others.items()}
+    nats = {name: together.fitted.total - one.fitted.total for name, one in beside.items() if one}
+    return nats, len(together.fitted.residual)
 
 
-def _evidence(explained: Explanation, name: str, nats: float, rivals: tuple[str, ...]) -> str:
+def _evidence(explained: Explanation, name: str, nats: float, transitions: int, rivals: tuple[str, ...]) -> str:
     posterior = explained.posterior
-    searched = len(posterior.nothing.fitted.residual)
     beside = "no other cause comes near"
     if rivals:
         sets = zip(posterior.sets, posterior.log_probability, strict=True)
         other, log = next((one, log) for one, log in sets if name not in one.names)
         behind, named = float(posterior.log_probability[0] - log), " + ".join(other.names) or "no cause"
         beside = f"the most probable set without it, {named}, is less probable by {behind:.1f} nats"
-    return f"log-likelihood of the {searched:,} transitions that were searched rises by {nats:.0f} with it; {beside}"
+    return f"log-likelihood of {transitions:,} transitions rises by {nats:.0f} with it; {beside}"
 
 
 def _estimate(value: float, samples: np.ndarray, unit: str) -> Estimate:
