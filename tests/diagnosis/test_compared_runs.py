@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drives import drive, header_of
-from swarmtwin.diagnosis.diagnose import compared
+from swarmtwin.diagnosis.compared_runs import compared
 from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.recording import Recording
 

@@ -8,7 +8,7 @@ import pytest
 from diagnosis_factories import DELAY, made_result, made_session
 from scipy import stats
 
-from swarmtwin.diagnosis.diagnose import read_off_clock
+from swarmtwin.diagnosis.diagnose import causes_off_clock
 from swarmtwin.diagnosis.gains import (
     Errors,
     gain_by_loss,
@@ -219,8 +219,8 @@ def test_what_the_clock_shows_is_named_whatever_an_extension_by_it_is_worth():
     on_the_clock = SimpleNamespace(read_off_clock=lambda kind: {"spread": 0.1} if kind is kinds[0] else {})
     explained = SimpleNamespace(mechanisms=(kinds[0](spread=0.1), kinds[1](delay_s=0.15)), model=on_the_clock)
     jitter = DELAY.model_copy(update={"name": "timing_jitter"})
-    assert read_off_clock(explained, [DELAY, jitter]) == (jitter,)
-    assert read_off_clock(explained, [DELAY]) == ()
+    assert causes_off_clock(explained, [DELAY, jitter]) == (jitter,)
+    assert causes_off_clock(explained, [DELAY]) == ()
 
 
 def test_more_random_motion_is_judged_beside_what_the_reference_s_own_motion_shows():

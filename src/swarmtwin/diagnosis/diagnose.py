@@ -1,9 +1,10 @@
 """From measured data to a cause with a name, an extended simulation and its gain, in four steps.
 
 1. Reference and residual: what a simulation gets wrong, in units of the noise it has where nothing is wrong
-   (`reference`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`, `own_units`, `reference_errors`;
-   `session_prediction` runs the simulation along a session, `quick_dynamics` nearly so in less time).
-2. Dependence: what the residual depends on (`dependence`, `flexible_residual`).
+   (`compared_runs`, `reference`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`, `own_units`,
+   `reference_errors`; `session_prediction` runs the simulation along a session, `quick_dynamics` nearly so in less
+   time).
+2. Dependence: what the residual depends on (`session_dependence`, `dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation`, `cause_search`), and what the best of
    them leaves (`explanation`, `left_over`, `varying_causes`, `gain_by_chance`, `error_history`,
@@ -14,32 +15,27 @@
    `result`; pictures in `report/`).
 """
 
-import logging
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from swarmtwin.diagnosis.cause_report import leading_sets, likeliest_causes, reported_causes
 from swarmtwin.diagnosis.cause_search import CausePosterior, CauseSearch
-from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_tests
+from swarmtwin.diagnosis.compared_runs import compared
 from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.estimation import Progress
 from swarmtwin.diagnosis.explanation import Explanation, explanation, left_by_nothing
 from swarmtwin.diagnosis.extension import HeldOutRuns
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood
-from swarmtwin.diagnosis.motion_noise_change import usual_noise_spread
+from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.next_recording import next_recording
 from swarmtwin.diagnosis.own_units import unit_differences
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.reference_errors import ReferenceErrors
-from swarmtwin.diagnosis.result import Cause, Dependence, DiagnosedSession, DiagnosisResult, Extension
+from swarmtwin.diagnosis.result import Cause, DiagnosedSession, DiagnosisResult, Extension
 from swarmtwin.diagnosis.screening import sought_kinds
-from swarmtwin.recordings.blocks import in_blocks
+from swarmtwin.diagnosis.session_dependence import DependenceTests
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation import Simulation
-
-logger = logging.getLogger(__name__)
 
 
 def diagnose(
@@ -49,7 +45,7 @@ def diagnose(
 
     Args:
         reference: the simulation, its noise, and the settings of the diagnosis.
-        measured: the recording in question; nothing but its runs is looked at: see `compared`.
+        measured: the recording in question; nothing but its runs is looked at: see `compared_runs`.
         seed: of everything random.
         progress: called with what is being done, and how far it is.
 
@@ -90,7 +86,7 @@ def diagnose(
     plan, drive = next_recording(explained, limits, seed)
     result = DiagnosisResult(
         verdict="unexplained" if objection else explained.verdict,
-        causes=read_off_clock(explained, named) if objection else named,
+        causes=causes_off_clock(explained, named) if objection else named,
         depends_on=tuple(test.part for test in dependences if test.found) if explained.verdict != "no_gap" else (),
         gain=judged.gain,
         next_recording=None if objection else plan,
@@ -124,74 +120,6 @@ def diagnose(
     )
 
 
-def compared(measured: Recording, most_rows: int, fewest: int = 40) -> tuple[Recording, int]:
-    """Return what of a recording is compared, and how many rows are left out since there are more than `most_rows`.
-
-    Of fewer than `fewest` runs, long ones are cut into blocks, which stand for runs: in what is held out, in intervals,
-    in what the result says. What is left of a longer recording lies all over it. A clock that shows more than ten times
-    the session's length when that begins was not set for it: times then count from the first one.
-    """
-    measured = _with_clock_set(measured)
-    rows = sum(map(len, measured.tracks))
-    every = max(1, -(-rows // most_rows))
-    parts = replace(measured, tracks=in_blocks(measured.tracks, fewest=fewest * every, blocks=fewest * every))
-    if every == 1:
-        return parts, 0
-    taken = set(parts.runs[::every])
-    parts = parts.where(lambda track: track.run in taken)
-    left_out = rows - sum(map(len, parts.tracks))
-    logger.info("%d of %d measured rows are compared, of runs or blocks all over the recording", rows - left_out, rows)
-    return parts, left_out
-
-
-def _with_clock_set(measured: Recording, most_lengths: float = 10.0) -> Recording:
-    """Return a recording whose times count from its first one, where its clock was not set when it began."""
-    if not measured.tracks:
-        return measured
-    began_s = min(float(track.time_s[0]) for track in measured.tracks)
-    length_s = max(float(track.time_s[-1]) for track in measured.tracks) - began_s
-    if abs(began_s) <= most_lengths * length_s:
-        return measured
-    logger.info("the session's clock begins at %.0f s: times count from then on", began_s)
-    sent = measured.sent and {vehicle: (at_s - began_s, sent) for vehicle, (at_s, sent) in measured.sent.items()}
-    return replace(
-        measured, tracks=tuple(replace(track, time_s=track.time_s - began_s) for track in measured.tracks), sent=sent
-    )
-
-
-class DependenceTests:
-    """Tests of a session's residuals, with any causes taken into account, against the reference's own.
-
-    Args:
-        reference: the reference.
-        model: of the session.
-        seed: of the draws, the same for every test.
-    """
-
-    def __init__(self, reference: Reference, model: SessionLikelihood, seed: int) -> None:
-        self._seed, self._discrepancy = seed, reference.discrepancy is not None
-        neighbours = reference.settings.reference.overlap_neighbours
-        own = reference.own_likelihood()
-        weight = model.session.covariate_overlap(own.session, neighbours)
-        self._of_reference = StandardisedResidual.of(own, own.evaluate([]), weight)
-
-    def run(
-        self, model: SessionLikelihood, fitted: FittedMechanisms, explained: SessionLikelihood | None = None
-    ) -> list[Dependence]:
-        """Test what fitted mechanisms leave of a session; its noise is that of the session as it is `explained`."""
-        left = StandardisedResidual.of(model, fitted, explained=explained)
-        return self._of(left, explained or model)
-
-    def of_extension(self, model: SessionLikelihood, extended: Simulation, residual: np.ndarray) -> list[Dependence]:
-        """Test the residuals (N, 3) of an extended simulation, which are standardised by the reference's noise."""
-        effects = model.effects_with(extended.mechanisms)
-        return self._of(StandardisedResidual.of_residual(model, residual, residual, effects), model)
-
-    def _of(self, left: StandardisedResidual, explained: SessionLikelihood) -> list[Dependence]:
-        usual, settings = usual_noise_spread(explained, explained.explained), explained.settings.dependence
-        return dependence_tests(left, self._of_reference, self._seed, settings, self._discrepancy, usual)
-
-
 def find_causes(
     reference: Reference, model: SessionLikelihood, own: ReferenceErrors, progress: Progress | None
 ) -> CausePosterior:
@@ -209,7 +137,7 @@ def errors_of(reference: Reference) -> ReferenceErrors:
     return ReferenceErrors(lambda: reference.own_likelihood(most), are_gap=reference.discrepancy is None)
 
 
-def read_off_clock(explained: Explanation, named: Sequence[Cause]) -> tuple[Cause, ...]:
+def causes_off_clock(explained: Explanation, named: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return the causes that the clock itself shows, whatever an extension by them is worth."""
     shown = {one.name for one in explained.mechanisms if explained.model.read_off_clock(type(one))}
     return tuple(cause for cause in named if cause.name in shown)

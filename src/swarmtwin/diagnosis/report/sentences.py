@@ -219,10 +219,7 @@ def limit_words(limit: DetectionLimit) -> str:
     """
     if limit.value is None:
         return "not at any value"
-    if not limit.unit and limit.parameter in SHARES:
-        factor, sign = 100.0, f"{SPACE}%"
-    else:
-        factor, sign = UNITS.get(limit.unit, (1.0, f"{SPACE}{limit.unit}"))
+    factor, sign = _unit_told(limit.parameter, limit.unit)
     parameter = mechanism_class(limit.cause).parameters.get(limit.parameter)
     usual = parameter.null_value or 0.0 if parameter and not limit.unit else 0.0
     size = factor * abs(limit.value - usual)
@@ -341,11 +338,15 @@ def _size(estimate: Estimate) -> Estimate:
 
 def _manner(name: str, estimate: Estimate) -> tuple[float, str, int]:
     """Return how a parameter is told: the factor on it, its unit, and how many decimals."""
-    if not estimate.unit and name in SHARES:
-        factor, unit = 100.0, f"{SPACE}%"
-    else:
-        factor, unit = UNITS.get(estimate.unit, (1.0, f"{SPACE}{estimate.unit}"))
+    factor, unit = _unit_told(name, estimate.unit)
     return factor, unit, _decimals(factor * (estimate.high - estimate.low) / 2, factor * estimate.value)
+
+
+def _unit_told(name: str, unit: str) -> tuple[float, str]:
+    """Return the factor on a parameter of a unit and the sign behind it, by which a person is told of it."""
+    if not unit and name in SHARES:
+        return 100.0, f"{SPACE}%"
+    return UNITS.get(unit, (1.0, f"{SPACE}{unit}"))
 
 
 def _decimals(half_width: float, value: float) -> int:
