@@ -192,7 +192,7 @@ def _page(diagnosed: SavedDiagnosis, pictures: list[Picture]) -> str:
         questions=QUESTIONS,
         bars=gain_bars(diagnosis),
         noise=noise_words(diagnosed),
-        windows=window_rows(diagnosis, robot.period_s),
+        windows=window_rows(diagnosis, 10 * robot.period_s if diagnosis.gain.ten_periods_mm else None),
         leading=leading,
         posterior=drawn.get("posterior"),
         runs=drawn.get("runs"),
@@ -227,14 +227,16 @@ def noise_words(diagnosed: SavedDiagnosis) -> str:
     )
 
 
-def window_rows(diagnosis: DiagnosisResult, period_s: float) -> list[WindowRow]:
+def window_rows(diagnosis: DiagnosisResult, but_s: float | None = None) -> list[WindowRow]:
     """Return open loop over windows as rows of a table; none where no run was long enough, or in older results.
 
-    A window of ten periods is told elsewhere, where that is known.
+    Args:
+        diagnosis: whose errors.
+        but_s: length of windows that are left out, since they are told elsewhere.
     """
     rows = []
     for one in diagnosis.gain.open_loop_windows:
-        if diagnosis.gain.ten_periods_mm and math.isclose(one.window_s, 10 * period_s):
+        if but_s and math.isclose(one.window_s, but_s):
             continue
         decimals = _decimals(one.before)
         before, after = (
