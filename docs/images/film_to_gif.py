@@ -3,6 +3,7 @@
 import argparse
 from itertools import islice
 from pathlib import Path
+from typing import cast
 
 import av
 from PIL import Image
@@ -27,12 +28,13 @@ def gif_frames(film: Path, width: int, every: int, last: int) -> list[Image.Imag
 
 def palette_of(image: Image.Image, frequent: int = 16, others: int = 56) -> Image.Image:
     """Return an image with a palette: the most frequent colours as they are, and a selection from all that occur."""
-    counted = sorted(image.getcolors(image.width * image.height) or [], reverse=True)
-    occurring = Image.new("RGB", (len(counted), 1))
-    occurring.putdata([colour for _, colour in counted])
+    counted = cast(list[tuple[int, tuple[int, int, int]]], image.getcolors(image.width * image.height) or [])
+    colours = [colour for _, colour in sorted(counted, reverse=True)]
+    occurring = Image.new("RGB", (len(colours), 1))
+    occurring.putdata(colours)
     selected = occurring.quantize(others).getpalette() or []
     palette = Image.new("P", (1, 1))
-    palette.putpalette([part for _, colour in counted[:frequent] for part in colour] + selected[: 3 * others])
+    palette.putpalette([part for colour in colours[:frequent] for part in colour] + selected[: 3 * others])
     return palette
 
 
