@@ -1,6 +1,7 @@
 """The next recording: driving what is planned tells rivals apart, or shows effects as small as was said."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from swarmtwin.diagnosis.detection_limits import detection_limits
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.next_recording import lowering_drive, next_recording, separating_drive
+from swarmtwin.diagnosis.next_recording import lowering_drive, next_recording
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
@@ -61,7 +62,10 @@ def test_what_the_drive_separates_is_the_cause_that_has_a_rival_and_not_another_
     before = explained(base, late, 4)
     found, rival = (before.posterior.of_names([name]) for name in ("command_delay", "actuator_lag"))
     scaled = estimate(before.model, [OFFERED["gain_change"].at({"gain": 1.02}), *found.mechanisms])
-    plan, _ = separating_drive(before.model, ("command_delay", "actuator_lag"), scaled, [rival], 1)
+    assert scaled.names[0] == "gain_change"
+    assert rival.names == ("actuator_lag",)
+    beside = SimpleNamespace(model=before.model, posterior=before.posterior, names=("command_delay",), best=scaled)
+    plan, _ = next_recording(beside, (), 1)
     assert plan.separates == ("command_delay", "actuator_lag")
 
 
