@@ -249,6 +249,9 @@ def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
         (row,) = [line for line in README.read_text().splitlines() if of in line]
         assert f"{count} of {total}" in row
         assert f"{100 * rate.low:.0f} to {100 * rate.high:.0f} %" in row
+    pairs = [own["two"]["exact"] for own in families]
+    said = f"of two effects at once {sum(one['count'] for one in pairs)} of {sum(one['total'] for one in pairs)}"
+    assert said in README.read_text()
 
 
 @pytest.mark.parametrize(
