@@ -88,8 +88,8 @@ def reported_parameters(
 def _missed_nats(explained: Explanation) -> tuple[dict[str, float], int]:
     """Return by how many nats a session is less likely without each cause, the others fitted anew, and its transitions.
 
-    That is the part of the session that was searched; all that was fitted to, where the search fitted some of these
-    sets of causes not.
+    These are the part of the session that was searched; where the search did not fit one of these sets of causes, they
+    are all that was fitted to.
     """
     best, posterior = explained.best, explained.posterior
     others = {name: [one for one in best.mechanisms if one.name != name] for name in explained.names}

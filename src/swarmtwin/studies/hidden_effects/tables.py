@@ -112,24 +112,16 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         (
             "one cause, error up by ≥ 10 %: it and nothing else",
             "≥ 99 %",
-            lambda own: _share_with_interval(own["one"][CLEAR]["exact"]),
+            lambda own: _counted(own["one"][CLEAR]["exact"]),
         ),
-        ("  alarm", "", lambda own: _share_with_interval(own["one"][CLEAR]["found"])),
-        (of_known, "", lambda own: _share_with_interval(own["one"][CLEAR]["exact_of_known_vehicle"])),
-        ("  a cause named that is not there", "", lambda own: _share_with_interval(own["one"][CLEAR]["falsely_named"])),
-        (
-            "one cause, 3 to 10 %: it and nothing else",
-            "≥ 90 %",
-            lambda own: _share_with_interval(own["one"][MIDDLE]["exact"]),
-        ),
-        (of_known, "", lambda own: _share_with_interval(own["one"][MIDDLE]["exact_of_known_vehicle"])),
-        (
-            "  a cause named that is not there",
-            "",
-            lambda own: _share_with_interval(own["one"][MIDDLE]["falsely_named"]),
-        ),
+        ("  alarm", "", lambda own: _counted(own["one"][CLEAR]["found"])),
+        (of_known, "", lambda own: _counted(own["one"][CLEAR]["exact_of_known_vehicle"])),
+        ("  a cause named that is not there", "", lambda own: _counted(own["one"][CLEAR]["falsely_named"])),
+        ("one cause, 3 to 10 %: it and nothing else", "≥ 90 %", lambda own: _counted(own["one"][MIDDLE]["exact"])),
+        (of_known, "", lambda own: _counted(own["one"][MIDDLE]["exact_of_known_vehicle"])),
+        ("  a cause named that is not there", "", lambda own: _counted(own["one"][MIDDLE]["falsely_named"])),
         *(
-            (label, mark, lambda own, bin_name=bin_name: _share_with_interval(own["limits"][bin_name]))
+            (label, mark, lambda own, bin_name=bin_name: _counted(own["limits"][bin_name]))
             for label, bin_name, mark in (
                 ("one cause, once to twice its detection limit: it and nothing else", "once to twice", "≥ 90 %"),
                 ("  twice its limit or more", "twice or more", ""),
@@ -137,48 +129,32 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
                 ("  less than half of its limit", "below half", ""),
             )
         ),
-        ("two causes: both and nothing else", "≥ 95 %", lambda own: _share_with_interval(own["two"]["exact"])),
-        (of_known, "", lambda own: _share_with_interval(own["two"]["exact_of_known_vehicle"])),
-        (above, "", lambda own: _share_with_interval(own["two"]["exact_above_limits"])),
-        ("  a cause named that is not there", "", lambda own: _share_with_interval(own["two"]["falsely_named"])),
-        ("three causes: all and nothing else", "≥ 80 %", lambda own: _share_with_interval(own["three"]["exact"])),
-        (of_known, "", lambda own: _share_with_interval(own["three"]["exact_of_known_vehicle"])),
-        (above, "", lambda own: _share_with_interval(own["three"]["exact_above_limits"])),
-        ("  a cause named that is not there", "", lambda own: _share_with_interval(own["three"]["falsely_named"])),
+        ("two causes: both and nothing else", "≥ 95 %", lambda own: _counted(own["two"]["exact"])),
+        (of_known, "", lambda own: _counted(own["two"]["exact_of_known_vehicle"])),
+        (above, "", lambda own: _counted(own["two"]["exact_above_limits"])),
+        ("  a cause named that is not there", "", lambda own: _counted(own["two"]["falsely_named"])),
+        ("three causes: all and nothing else", "≥ 80 %", lambda own: _counted(own["three"]["exact"])),
+        (of_known, "", lambda own: _counted(own["three"]["exact_of_known_vehicle"])),
+        (above, "", lambda own: _counted(own["three"]["exact_above_limits"])),
+        ("  a cause named that is not there", "", lambda own: _counted(own["three"]["falsely_named"])),
         (
             "by another law, error up by ≥ 10 %: it and nothing else",
             "",
-            lambda own: _share_with_interval(own["misspecified"]["exact_of_clear"]),
+            lambda own: _counted(own["misspecified"]["exact_of_clear"]),
         ),
-        ("  all of them, also smaller ones", "", lambda own: _share_with_interval(own["misspecified"]["exact"])),
-        (
-            "  alone the likeliest, named or not",
-            "",
-            lambda own: _share_with_interval(own["misspecified"]["likeliest_true"]),
-        ),
-        (
-            "  a cause named that is not there",
-            "",
-            lambda own: _share_with_interval(own["misspecified"]["falsely_named"]),
-        ),
+        ("  all of them, also smaller ones", "", lambda own: _counted(own["misspecified"]["exact"])),
+        ("  alone the likeliest, named or not", "", lambda own: _counted(own["misspecified"]["likeliest_true"])),
+        ("  a cause named that is not there", "", lambda own: _counted(own["misspecified"]["falsely_named"])),
         ("  gain, of what it had brought: median", "", lambda own: _percent(own["misspecified"]["gain"]["diagnosis"])),
         ("  likewise, beside the same runs", "", lambda own: _percent(own["misspecified"]["gain"]["beside_twin"])),
-        ("in no catalogue: no cause named", "≥ 98 %", lambda own: _share_with_interval(own["outside"]["not_named"])),
-        (
-            "  of these, where an alarm was raised",
-            "",
-            lambda own: _share_with_interval(own["outside"]["not_named_of_alarmed"]),
-        ),
-        (
-            "  alarm where the error is up by ≥ 10 %",
-            "≥ 95 %",
-            lambda own: _share_with_interval(own["outside"]["costly_found"]),
-        ),
-        ("nothing wrong: a cause named", "≤ 0.3 %", lambda own: _share_with_interval(own["clean"]["accused"])),
-        ("  of these, another vehicle", "", lambda own: _share_with_interval(own["clean"]["accused_of_other_vehicle"])),
-        ("  alarm", "≤ 0.5 %", lambda own: _share_with_interval(own["clean"]["alarmed"])),
-        ("  error raised by 0.5 % or more", "0", lambda own: _share_with_interval(own["clean"]["harmed"])),
-        ("95 % intervals that hold the truth", "93 to 97 %", lambda own: _share_with_interval(own["covered"])),
+        ("in no catalogue: no cause named", "≥ 98 %", lambda own: _counted(own["outside"]["not_named"])),
+        ("  of these, where an alarm was raised", "", lambda own: _counted(own["outside"]["not_named_of_alarmed"])),
+        ("  alarm where the error is up by ≥ 10 %", "≥ 95 %", lambda own: _counted(own["outside"]["costly_found"])),
+        ("nothing wrong: a cause named", "≤ 0.3 %", lambda own: _counted(own["clean"]["accused"])),
+        ("  of these, another vehicle", "", lambda own: _counted(own["clean"]["accused_of_other_vehicle"])),
+        ("  alarm", "≤ 0.5 %", lambda own: _counted(own["clean"]["alarmed"])),
+        ("  error raised by 0.5 % or more", "0", lambda own: _counted(own["clean"]["harmed"])),
+        ("95 % intervals that hold the truth", "93 to 97 %", lambda own: _counted(own["covered"])),
         ("  told in another unit than hidden, not counted", "", lambda own: str(own["in_another_unit"])),
         (
             "parameters: median error, of what they change",
@@ -196,7 +172,7 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         ("seconds a diagnosis: median, most", "≤ 10, –", lambda own: _both(own["seconds"], ".1f")),
         ("  its reference's learning", "", lambda own: _both(own["learning_seconds"], ".1f")),
         ("peak memory, MB: median, most", "–, ≤ 2,000", lambda own: _both(own["memory_mb"], ",.0f")),
-        ("diagnoses that failed", "0", lambda own: _share_with_interval(own["failed"])),
+        ("diagnoses that failed", "0", lambda own: _counted(own["failed"])),
     ]
     told = [[name, *map(tell, families.values()), mark] for name, mark, tell in rows]
     return StudyTable(
@@ -222,7 +198,7 @@ def _mechanisms_table(family: str, own: dict[str, Any]) -> StudyTable:
     )
 
 
-def _share_with_interval(share: Proportion) -> str:
+def _counted(share: Proportion) -> str:
     """Return how many of how many, and Wilson's 95 % interval."""
     if share.share is None:
         return "–"
