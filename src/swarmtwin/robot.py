@@ -213,6 +213,12 @@ class Robot(StrictModel):
         """The command nearest to zero, (m,): what a vehicle is told that is to stand still."""
         return np.clip(0.0, self.command_low, self.command_high)
 
+    def scaled_command(self, command: np.ndarray) -> np.ndarray:
+        """Return commands (N, m) between -1 and 1: at the lower and the upper limits."""
+        low, high = self.command_low, self.command_high
+        scaled: np.ndarray = 2 * (command - low) / (high - low) - 1
+        return scaled
+
     @property
     def displacement_limit(self) -> np.ndarray:
         """Largest believable absolute displacement over one period, (3,): mm, mm, rad."""

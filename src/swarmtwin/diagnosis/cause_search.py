@@ -131,7 +131,7 @@ class CauseSearch:
     ) -> None:
         self._reference, self._usual_gain = reference or ReferenceErrors(), dict[tuple[MechanismClass, ...], float]()
         self.model, self.settings, self.progress = model, model.settings.search, progress
-        self.kinds = {name: kind for name, kind in kinds.items() if model.can_show(kind)}
+        self.kinds = model.shown_of(kinds)
         self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}
         self._shares: dict[tuple[MechanismClass, ...], tuple[EstimatedSet, float]] = {}
 

@@ -56,8 +56,7 @@ def detection_limits(
         kinds: the mechanisms that were offered, by name; None: the whole catalogue.
     """
     model, best = explained.model, explained.best
-    offers = kinds or offered(model.robot, model.session.conditions)
-    kinds = {name: kind for name, kind in offers.items() if model.can_show(kind)}
+    kinds = model.shown_of(kinds or offered(model.robot, model.session.conditions))
     beside_all = _Limits(explained, best.mechanisms, unfitted)
     rivals = candidates(model, best.fitted, kinds)
     found = beside_all.of_moving(rivals, rivals)

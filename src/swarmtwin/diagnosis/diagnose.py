@@ -125,10 +125,9 @@ def find_causes(
 ) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
     session = model.session
-    kinds = {name: kind for name, kind in sought_kinds(model).items() if model.can_show(kind)}
     most = reference.settings.search.most_transitions
     part = model if len(session) <= most else reference.likelihood_of(session.where(session.spread_over(most)))
-    return CauseSearch(part, kinds, progress, own).run()
+    return CauseSearch(part, sought_kinds(model), progress, own).run()
 
 
 def errors_of(reference: Reference) -> ReferenceErrors:

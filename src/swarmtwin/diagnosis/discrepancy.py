@@ -78,15 +78,13 @@ def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarr
 
 def _local_functions(session: MeasuredSession, count: int = 24, waves: float = 4.0) -> np.ndarray:
     """Return (N, count) random cosines of the command, the same in each session: errors where commands are rare."""
-    robot, rng = session.transitions.robot, np.random.default_rng(0)
-    command = 2 * (session.transitions.command - robot.command_low) / (robot.command_high - robot.command_low) - 1
-    return random_cosines(command, count, rng, waves)
+    command = session.transitions.robot.scaled_command(session.transitions.command)
+    return random_cosines(command, count, np.random.default_rng(0), waves)
 
 
 def _polynomials(session: MeasuredSession) -> np.ndarray:
     """Return (N, q) polynomials of second degree of the command, without products."""
-    robot = session.transitions.robot
-    command = 2 * (session.transitions.command - robot.command_low) / (robot.command_high - robot.command_low) - 1
+    command = session.transitions.robot.scaled_command(session.transitions.command)
     return np.column_stack([np.ones(len(command)), command, command**2])
 
 
@@ -132,8 +130,4 @@ def _of_plain_form(
 def _alone(parameters: Mapping[str, Parameter], name: str, value: float) -> dict[str, float]:
     """Return all parameters where they do nothing but one, which is a little off where it would do nothing."""
     null = {other: one.null_value for other, one in parameters.items() if one.null_value is not None}
-    parameter = parameters[name]
-    if value == null[name]:
-        step = 3 * parameter.response_step
-        value = value + step if value + step <= parameter.high else value - step
-    return {**null, name: value}
+    return {**null, name: value if value != null[name] else parameters[name].stepped_from(value, steps=3)}

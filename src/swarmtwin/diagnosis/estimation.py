@@ -140,9 +140,10 @@ class _Search:
     def __init__(self, model: SessionLikelihood, kinds: Sequence[MechanismClass], is_exact: bool = False) -> None:
         self.model, self.kinds, self.settings = model, kinds, model.settings.estimation
         self.is_exact = is_exact
-        parameters = [parameter for _, _, parameter in model.parameters(kinds)]
-        self.low, self.high = (np.array([getattr(one, end) for one in parameters], float) for end in ("low", "high"))
-        self.step = np.array([one.response_step for one in parameters], float)
+        self.parameters = [parameter for _, _, parameter in model.parameters(kinds)]
+        self.low = np.array([one.low for one in self.parameters], float)
+        self.high = np.array([one.high for one in self.parameters], float)
+        self.step = np.array([one.response_step for one in self.parameters], float)
         self.prior_precision = np.diag(12 / np.maximum(self.high - self.low, 1e-12) ** 2)
 
     def at(self, values: np.ndarray) -> list[Mechanism]:
@@ -160,10 +161,9 @@ class _Search:
     def slopes(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Return (3 N, P) how whitened errors change with the parameters."""
         columns, near = [], self.at(values)
-        for index in range(len(values)):
+        for index, parameter in enumerate(self.parameters):
             moved = values.copy()
-            inside = values[index] + self.step[index] <= self.high[index]
-            moved[index] += self.step[index] if inside else -self.step[index]
+            moved[index] = parameter.stepped_from(values[index])
             there = self.at(moved)
             changed = self.model.whitened(there) if self.is_exact else self.model.whitened_near(there, near)
             columns.append((changed.ravel() - here) / (moved[index] - values[index]))

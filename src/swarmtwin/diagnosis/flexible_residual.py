@@ -83,16 +83,11 @@ class FlexibleResidual:
         settings = settings or FlexibleSettings()
         rng = np.random.default_rng(seed)
         robot, conditions = session.transitions.robot, session.conditions
-        low, high = robot.command_low, robot.command_high
-
-        def unit(command: np.ndarray) -> np.ndarray:
-            return 2 * (command - low) / (high - low) - 1
-
         given = session.situation
         assert given.previous_command is not None
         assert given.earlier_command is not None
         command, previous, earlier = (
-            unit(one.numpy()) for one in (given.command, given.previous_command, given.earlier_command)
+            robot.scaled_command(one.numpy()) for one in (given.command, given.previous_command, given.earlier_command)
         )
         size = np.maximum(np.sqrt((steady**2).mean(axis=0)), 1e-9)
         motion = steady / size

@@ -21,8 +21,8 @@ def nats_by_chance(model: SessionLikelihood, residual: np.ndarray, draws: int) -
     """
     kinds = {
         name: kind
-        for name, kind in sought_kinds(model).items()
-        if model.can_show(kind) and not loses_commands([kind]) and not model.read_off_clock(kind)
+        for name, kind in model.shown_of(sought_kinds(model)).items()
+        if not loses_commands([kind]) and not model.read_off_clock(kind)
     }
     columns = [one.columns for one in candidates(model, model.evaluate([]), kinds) if one.columns.shape[1]]
     most = np.zeros(draws)

@@ -5,7 +5,7 @@ to be the cause. What nobody knows exactly, and is no gap, is integrated out as 
 reference leaves open of the simulation, how units differ, smooth discrepancies, and for each mechanism its form.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -223,8 +223,7 @@ class SessionLikelihood(SessionErrors):
         columns = []
         for index, (_, _, parameter) in enumerate(self.parameters(kinds)):
             moved = values.copy()
-            step = parameter.response_step
-            moved[index] += step if values[index] + step <= parameter.high else -step
+            moved[index] = parameter.stepped_from(values[index])
             change = self.errors_near(self.assembled(kinds, moved), mechanisms) - here
             columns.append(change / (moved[index] - values[index]))
         return np.stack(columns, axis=-1) if columns else np.zeros((*here.shape, 0))
@@ -354,6 +353,10 @@ class SessionLikelihood(SessionErrors):
         if loses_commands([kind]) and self.session.sent and self.session.sent.a_period >= 2:
             return False  # one that is lost is followed by the same, or nearly, within the period
         return "neighbours" not in kind.inputs or bool(np.isfinite(transitions.neighbours).any())
+
+    def shown_of(self, kinds: Mapping[str, MechanismClass]) -> dict[str, MechanismClass]:
+        """Return those of some mechanisms, by name, that the session can show at all."""
+        return {name: kind for name, kind in kinds.items() if self.can_show(kind)}
 
 
 def loses_commands(kinds: Sequence[MechanismClass]) -> bool:

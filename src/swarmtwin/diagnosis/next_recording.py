@@ -172,10 +172,10 @@ class _Drive:
         for index, one in enumerate(mechanisms):
             parameters = type(one).parameters_of(self.predictor.base.robot, self.predictor.conditions)
             for name, parameter in parameters.items():
-                value, step = getattr(one, name), parameter.response_step
-                step = step if value + step <= parameter.high else -step
-                moved = type(one).at({**one.values(), name: value + step})
-                columns.append((self.ways([*mechanisms[:index], moved, *mechanisms[index + 1 :]]) - here) / step)
+                value = getattr(one, name)
+                moved = type(one).at({**one.values(), name: parameter.stepped_from(value)})
+                change = self.ways([*mechanisms[:index], moved, *mechanisms[index + 1 :]]) - here
+                columns.append(change / (parameter.stepped_from(value) - value))
         return np.stack(columns, axis=-1) if columns else np.zeros((len(here), 0))
 
     def nats(self, true: EstimatedSet, wrong: EstimatedSet, settings: LikelihoodSettings) -> float:

@@ -122,7 +122,7 @@ def smooth_functions(robot: Robot, given: Situation) -> np.ndarray:
     """Return (N, q) polynomials of the commands now and before, of second degree, each of unit size."""
     assert given.previous_command is not None
     low, high = robot.command_low, robot.command_high
-    command, previous = (2 * (one.numpy() - low) / (high - low) - 1 for one in (given.command, given.previous_command))
+    command, previous = (robot.scaled_command(one.numpy()) for one in (given.command, given.previous_command))
     columns = [np.ones(len(command)), *command.T, *previous.T]
     count = command.shape[1]
     columns += [command[:, one] * command[:, other] for one in range(count) for other in range(one + 1)]

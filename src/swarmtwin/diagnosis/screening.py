@@ -186,7 +186,4 @@ def _candidate(
 
 def _off_null(parameter: Parameter, value: float) -> float:
     """Return a value of a parameter away from where it does nothing."""
-    if value != parameter.null_value:
-        return value
-    step = 3 * parameter.response_step
-    return value + step if value + step <= parameter.high else value - step
+    return value if value != parameter.null_value else parameter.stepped_from(value, steps=3)

@@ -25,7 +25,7 @@ from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import one_member
-from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order
 from swarmtwin.simulation.residual_model import ResidualModel
 from swarmtwin.simulation.signal_chain import (
     FOLLOWING,
@@ -33,6 +33,7 @@ from swarmtwin.simulation.signal_chain import (
     Memory,
     end_memory,
     following_motion,
+    passed_on,
     period_motion,
     remembered_after_two,
     with_own_memory,

@@ -104,8 +104,8 @@ class Surroundings:
         here = model.whitened(near) if added else self._here
         columns, precision = [], []
         for index, (_, _, parameter) in enumerate(model.parameters(kinds)):
-            moved, step = values.copy(), parameter.response_step
-            moved[index] += step if values[index] + step <= parameter.high else -step
+            moved = values.copy()
+            moved[index] = parameter.stepped_from(values[index])
             changed = model.whitened_near([*around, *model.assembled(kinds, moved)], near) - here
             columns.append(changed.ravel() / (moved[index] - values[index]))
             precision.append(12 / parameter.size**2)

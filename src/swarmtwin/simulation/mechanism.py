@@ -68,6 +68,11 @@ class Parameter(NamedTuple):
         """Change for which the motion's response is measured."""
         return self.step or 1e-3 * self.size
 
+    def stepped_from(self, value: float, steps: float = 1.0) -> float:
+        """Return a value so many response steps above another one, or below it where there is no room above."""
+        step = steps * self.response_step
+        return value + step if value + step <= self.high else value - step
+
 
 @dataclass(frozen=True)
 class Moment:
@@ -390,10 +395,3 @@ def offered(robot: Robot, conditions: SessionConditions) -> dict[str, type[Mecha
 def in_signal_order(chosen: Iterable[Mechanism]) -> tuple[Mechanism, ...]:
     """Return mechanisms in the order of the signal chain."""
     return tuple(sorted(chosen, key=lambda one: (STAGES.index(one.stage), one.place_in_stage, one.name)))
-
-
-def passed_on(mechanism: Mechanism, commands: Sequence[Tensor], moment: Moment) -> list[Tensor]:
-    """Return the commands (N, m) that a mechanism makes of some, the present ones first; the last were held before."""
-    given = [mechanism.transform_command(command, moment) for command in commands]
-    befores = [*given[1:], given[-1]]
-    return [mechanism.mean_command(command, before, moment) for command, before in zip(given, befores, strict=True)]

@@ -243,3 +243,10 @@ def _carried_along(mechanisms: Sequence[Mechanism], displacement: Tensor, twists
             along = rotate(carried, -moment.pose[:, 2])
             displacement = torch.cat([displacement[:, :2] + along, displacement[:, 2:]], dim=-1)
     return displacement
+
+
+def passed_on(mechanism: Mechanism, commands: Sequence[Tensor], moment: Moment) -> list[Tensor]:
+    """Return the commands (N, m) that a mechanism makes of some, the present ones first; the last were held before."""
+    given = [mechanism.transform_command(command, moment) for command in commands]
+    befores = [*given[1:], given[-1]]
+    return [mechanism.mean_command(command, before, moment) for command, before in zip(given, befores, strict=True)]

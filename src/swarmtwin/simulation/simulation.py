@@ -19,9 +19,9 @@ from swarmtwin.robot import SituationPart
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, passed_on, true_poses
+from swarmtwin.simulation.mechanism import Mechanism, Moment, in_signal_order, true_poses
 from swarmtwin.simulation.residual_model import ResidualModel
-from swarmtwin.simulation.signal_chain import period_motion, remembered_after_long, remembered_after_two
+from swarmtwin.simulation.signal_chain import passed_on, period_motion, remembered_after_long, remembered_after_two
 from swarmtwin.simulation.state import State
 
 OWN_VELOCITY = "velocity without mechanisms"

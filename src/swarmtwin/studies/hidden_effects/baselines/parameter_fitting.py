@@ -116,9 +116,9 @@ class JointFit:
         """Return (N, 3, P) how residuals change with each parameter, per step of it."""
         here = self.residual(values)
         columns = []
-        for index, step in enumerate(self.step):
+        for index, (_, _, parameter) in enumerate(self.parameters):
             moved = values.copy()
-            moved[index] += step if values[index] + step <= self.high[index] else -step
+            moved[index] = parameter.stepped_from(values[index])
             columns.append((self.residual(moved) - here) * np.sign(moved[index] - values[index]))
         return np.stack(columns, axis=-1)
 
