@@ -1,11 +1,13 @@
 """Which commands arrived is summed over: the compiled sum equals one over every course of a short run."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from exact_base import ExactBase, Losing, errors_showing, known_noise, session_of
 
+from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import beyond_usual_loss
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
@@ -68,3 +70,17 @@ def test_what_the_reference_seems_to_lose_as_well_is_no_loss_of_the_session(robo
     assert spread[-1] == pytest.approx(np.hypot(before[-1], also))
     alone = estimate(model, begun[:1])
     assert beyond_usual_loss(model, alone, errors_showing(loss=usual)) is alone
+
+
+def test_what_the_usual_loss_gains_is_asked_of_each_fit_of_a_set(robots):
+    """The same causes with other values gain something else by it."""
+    base = ExactBase(robots["mgr"])
+    session = session_of(base, np.random.default_rng(2), moved=Losing(0.06, 2), runs=40)
+    model = SessionLikelihood(base, known_noise(), session)
+    kinds = {name: mechanism_class(name) for name in ("gain_change", "command_loss")}
+    begun = [kinds["gain_change"].at({"gain": 1.0}), kinds["command_loss"].at({"probability": 0.1})]
+    found = estimate(model, begun)
+    poor = replace(found, fitted=model.evaluate([kinds["gain_change"].at({"gain": 0.6}), begun[1]]))
+    one, another = (CauseSearch(model, kinds, reference=errors_showing(loss=0.05)) for _ in range(2))
+    assert abs(another.score(poor) - one.score(found)) > 1.0
+    assert another.score(found) == one.score(found)

@@ -1,7 +1,7 @@
 """Step 3. Which sets of causes make a session likely: the best of all are fitted, and share the probability."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,6 +112,21 @@ class CausePosterior:
         return log.get(frozenset(names), -math.inf) > log[frozenset()]
 
 
+class _OncePerFit:
+    """Remembers what was said of the last fit of each set of causes: it costs evaluations of the likelihood."""
+
+    def __init__(self, asked: Callable[[EstimatedSet], float]) -> None:
+        self._asked = asked
+        self._known: dict[tuple[MechanismClass, ...], tuple[EstimatedSet, float]] = {}
+
+    def of(self, one: EstimatedSet) -> float:
+        """Return it for a fitted set."""
+        kinds = one.fitted.kinds
+        if kinds not in self._known or self._known[kinds][0] is not one:
+            self._known[kinds] = one, self._asked(one)
+        return self._known[kinds][1]
+
+
 class CauseSearch:
     """Looks for the sets of causes that share the probability.
 
@@ -129,11 +144,11 @@ class CauseSearch:
         progress: Progress | None = None,
         reference: ReferenceErrors | None = None,
     ) -> None:
-        self._reference, self._usual_gain = reference or ReferenceErrors(), dict[tuple[MechanismClass, ...], float]()
+        self._reference = reference or ReferenceErrors()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = model.shown_of(kinds)
         self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}
-        self._shares: dict[tuple[MechanismClass, ...], tuple[EstimatedSet, float]] = {}
+        self._shares, self._usual_gains = _OncePerFit(self._shares_of_evidence), _OncePerFit(self._gained_by_usual_loss)
 
     def run(self) -> CausePosterior:
         """Fit sets of one cause more at a time, beside the best ones, until a further cause is not probable."""
@@ -161,7 +176,7 @@ class CauseSearch:
     def score(self, one: EstimatedSet) -> float:
         """Return the log of evidence times prior, all forms of a cause equally probable beforehand."""
         forms = sum(math.log(len(kind.forms(self.model.robot))) for kind in one.fitted.kinds)
-        return one.evidence - forms - self._gained_by_usual_loss(one) - self._log_odds_against(one)
+        return one.evidence - forms - self._usual_gains.of(one) - self._log_odds_against(one)
 
     def _log_odds_against(self, one: EstimatedSet) -> float:
         """Return the log of a set's odds beforehand, each cause's gain counted from where it begins to matter.
@@ -170,7 +185,7 @@ class CauseSearch:
         """
         count, gained = len(one.names), one.evidence - self._exact_part(one).evidence
         further = share_beside(self.settings, self.model, one.fitted.kinds) * max(gained, 0.0)
-        too_little = too_little_nats(self.settings, len(self.model.session)) * self._shares_of_evidence(one)
+        too_little = too_little_nats(self.settings, len(self.model.session)) * self._shares.of(one)
         return count * prior_log_odds(self.settings) + too_little + further
 
     def _exact_part(self, one: EstimatedSet) -> EstimatedSet:
@@ -186,11 +201,7 @@ class CauseSearch:
         """
         if not self.model.unknown_vehicles:
             return float(len(one.names))
-        known, shares = self._shares.get(one.fitted.kinds, (None, 0.0))
-        if known is not one:
-            shares = sum(self._share_of_evidence(one, cause) for cause in one.mechanisms)
-            self._shares[one.fitted.kinds] = one, shares
-        return shares
+        return sum(self._share_of_evidence(one, cause) for cause in one.mechanisms)
 
     def _share_of_evidence(self, one: EstimatedSet, cause: Mechanism) -> float:
         beside = self.model.evaluate([other for other in one.mechanisms if other is not cause])
@@ -201,11 +212,10 @@ class CauseSearch:
         """Return the nats that a set with lost commands gains by as many as the reference seems to lose: no news."""
         if not loses_commands(one.fitted.kinds):
             return 0.0
-        if one.fitted.kinds not in self._usual_gain:
-            usual, none = (self._with_loss(one, share) for share in (self._reference.loss, 0.0))
-            totals = [self.model.evaluate(mechanisms).total for mechanisms in (usual, none)]
-            self._usual_gain[one.fitted.kinds] = max(totals[0] - totals[1], 0.0) if usual != none else 0.0
-        return self._usual_gain[one.fitted.kinds]
+        usual, none = (self._with_loss(one, share) for share in (self._reference.loss, 0.0))
+        if usual == none:
+            return 0.0
+        return max(self.model.evaluate(usual).total - self.model.evaluate(none).total, 0.0)
 
     @staticmethod
     def _with_loss(one: EstimatedSet, share: float) -> list[Mechanism]:
