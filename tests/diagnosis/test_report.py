@@ -395,34 +395,33 @@ def test_a_law_is_told_by_its_words(name, parameter, unit, form, said):
 
 
 @pytest.mark.parametrize(
-    ("gain", "ratio", "said"),
+    ("side", "said"),
     [
-        (0.922, 0.85, "because the left wheel runs at 0.85 of its speed – check its motor, gear and tyre."),
-        (0.922, 1.176, "because the right wheel runs at 0.85 of its speed – check its motor, gear and tyre."),
-        (
-            0.95,
-            0.85,
-            "learn the simulation anew; and because left and right differ: 0.850 – compare the wheels or motors, or ",
-        ),
+        ("left", "because the left wheel runs at 0.850 times its speed – compare"),
+        ("right", "because the right wheel runs at 0.850 times its speed – compare"),
+        ("both", "because left and right differ: 0.850 – compare"),
     ],
 )
-def test_one_weak_wheel_is_told_as_one(gain, ratio, said):
-    """Its own speed is gain · √ratio, that of the other, gain / √ratio, is as it was: 1 within the intervals."""
-    values = {"gain_change": ("gain", gain), "actuator_asymmetry": ("ratio", ratio)}
-    causes = tuple(
-        DELAY.model_copy(
-            update={
-                "name": name,
-                "rivals": (),
-                "parameters": {of: Estimate(value=value, low=value - 0.005, high=value + 0.005, unit="")},
-            }
-        )
-        for name, (of, value) in values.items()
-    )
-    result = made_result(causes=causes)
-    sentence = verdict_words(result).replace("\N{NO-BREAK SPACE}", " ")
-    assert said in sentence
-    assert sentence.count(" – ") == (1 if "wheel runs" in said else 2)
+def test_the_side_of_a_weak_wheel_is_told(side, said):
+    ratio = Estimate(value=0.85, low=0.845, high=0.855, unit="")
+    weak = {"name": "actuator_asymmetry", "rivals": (), "parameters": {"ratio": ratio}, "form": {"side": side}}
+    result = made_result(causes=(DELAY.model_copy(update=weak),))
+    assert said in verdict_words(result).replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_errors_that_scatter_more_are_told_where_no_gap_is_found():
+    found = Dependence(part="spread", statistic=7.0, p_value=1e-9, explained=0.2, found=True)
+    less = found.model_copy(update={"explained": -0.2})
+    said = [verdict_words(made_result("no_gap", tests=(one,))) for one in (found, less)]
+    assert ["scatter more" in one for one in said] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [(0.42, 0.58, "0.42 to 0.58 less"), (-0.04, -0.01, "0.01 to 0.04 more"), (-0.02, 0.03, "0.02 more to 0.03 less")],
+)
+def test_what_a_change_may_be_is_told_by_its_direction(low, high, said):
+    assert Gain(before=1.0, after=1.0, low=low, high=high).change_words == said
 
 
 def test_gains_may_be_losses_and_errors_nothing():

@@ -163,6 +163,12 @@ def test_what_is_a_vehicles_own_is_told_with_its_interval(robots):
         assert factor.high - factor.low < 0.02
     assert unit.is_unusual
     assert unit_differences(model_of(robots["mgr"], of_wheels(0.94, 0.94), "1"), ()) == ()
+    (askew,) = unit_differences(model_of(robots["mgr"], of_wheels(0.94, 1.0), "2"), ())
+    assert askew.left_to_right.low < 0.94 < askew.left_to_right.high
+    assert (askew.left_to_right.value, askew.way.value) == (
+        pytest.approx(0.94, abs=0.01),
+        pytest.approx(0.97, abs=0.01),
+    )
     weaker = [mechanism_class("gain_change").at({"gain": 0.9})]
     (beside,) = unit_differences(model_of(robots["mgr"], of_wheels(0.94 * 0.9, 0.94 * 0.9), "2"), weaker)
     assert beside.way.value == pytest.approx(0.94, abs=0.01)

@@ -199,6 +199,16 @@ def test_a_missing_column(mgr, folder):
     )
 
 
+def test_a_missing_column_of_a_robot_that_is_commanded_like_another(mgr, folder):
+    own = mgr.model_copy(update={"name": "pupil"})
+    edit_header(folder, robot="pupil")
+    write_lines(
+        folder,
+        [",".join(part for place, part in enumerate(line.split(",")) if place != 1) for line in lines_of(folder)],
+    )
+    assert "row 1: column 'vehicle' is missing, there are time_s, left, right" in refusal(folder, own)
+
+
 def test_a_column_twice(mgr, folder):
     file = write_lines(folder, [f"{line},{'left' if row == 0 else '1'}" for row, line in enumerate(lines_of(folder))])
     assert refusal(folder, mgr) == f"{file}, row 1: column 'left' stands twice: keep one of them"

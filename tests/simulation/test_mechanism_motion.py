@@ -259,13 +259,14 @@ def test_a_unit_may_turn_by_another_factor_than_it_goes(robots):
         torch.testing.assert_close(log_map(unit.predict(situation)), expected)
 
 
-def test_asymmetry_keeps_the_geometric_mean_of_the_wheels(robots):
+@pytest.mark.parametrize(("side", "left", "right"), [("both", 1.2, 1 / 1.2), ("left", 1.44, 1.0), ("right", 1.0, 1.44)])
+def test_one_wheel_runs_faster_or_both_with_their_geometric_mean_kept(robots, side, left, right):
     robot = robots["mgr"]
     situation = situation_of(robot, np.random.default_rng(11))
-    measured, simulated = moved(robot, "actuator_asymmetry", situation, ratio=1.44)
+    measured, simulated = moved(robot, "actuator_asymmetry", situation, ratio=1.44, side=side)
     track_mm = conditions_of(robot).track_mm
     factors = wheel_travel(log_map(measured), track_mm) / wheel_travel(log_map(simulated), track_mm)
-    torch.testing.assert_close(factors, torch.tensor([[1.2, 1 / 1.2]], dtype=torch.float64).expand(200, 2))
+    torch.testing.assert_close(factors, torch.tensor([[left, right]], dtype=torch.float64).expand(200, 2))
 
 
 def test_a_trimmed_fin_is_another_angle(robots):

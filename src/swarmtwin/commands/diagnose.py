@@ -145,6 +145,10 @@ def _registered(options: Options, tracked: TrackedRun, output: Path, diagnosed: 
     return f"extended simulation {challenge_by_errors(tracked, version, errors, held_out.digest())}"
 
 
+def _with_extension(gain: Gain) -> str:
+    return f" → {gain.after:.2f} (95 %: {gain.change_words})"
+
+
 def _gains(diagnosis: DiagnosisResult) -> dict[str, Gain]:
     gain = diagnosis.gain
     names = ("position_mm", "orientation_deg", "ten_periods_mm", "open_loop_mm")
@@ -169,9 +173,9 @@ def table(diagnosis: DiagnosisResult) -> Table:
         rivals = ", ".join(cause.rivals)
         shown.add_row(cause.name, told, f"{cause.share_of_gap:.0%}", f"{cause.confidence:.0%}", rivals)
     gains = "\n".join(
-        f"{name} {gain.before:.2f} → {gain.after:.2f} (95 %: {gain.low:.2f} to {gain.high:.2f} less)"
+        f"{name} {gain.before:.2f}{'' if diagnosis.extension == 'none' else _with_extension(gain)}"
         for name, gain in _gains(diagnosis).items()
     )
     depends = ", ".join(diagnosis.depends_on) or "nothing"
-    shown.caption = f"the residual depends on: {depends}\non held-out runs\n{gains}"
+    shown.caption = f"before the extension, the residual depends on: {depends}\non held-out runs\n{gains}"
     return shown

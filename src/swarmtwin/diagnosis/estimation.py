@@ -8,6 +8,7 @@ import numpy as np
 from scipy import optimize
 
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.lost_commands import LostCommands
 from swarmtwin.diagnosis.random_effects import RandomEffects
 from swarmtwin.simulation.mechanism import Mechanism
 
@@ -213,25 +214,25 @@ class _Search:
 
         Which course each transition took stays as it is in each of so many rounds, since the likelihood jumps with it.
         """
-        courses = self.model.evaluate(self.at(values)).courses
+        near = self.model.lost_commands(self.at(values))
         for _ in range(rounds):
-            values = self._likeliest_by_courses(values, courses)
-            before, courses = courses, self.model.evaluate(self.at(values)).courses
-            if (before == courses).all():
+            values = self._likeliest_near(values, near)
+            before, near = near, self.model.lost_commands(self.at(values))
+            if (before.likeliest == near.likeliest).all():
                 break
         return values
 
-    def _likeliest_by_courses(self, values: np.ndarray, courses: np.ndarray, enough: float = 0.02) -> np.ndarray:
+    def _likeliest_near(self, values: np.ndarray, near: LostCommands, enough: float = 0.02) -> np.ndarray:
         """Climb by Newton's method, the products of scores for the curvature (Berndt, Hall, Hall, Hausman, 1974).
 
         Until a step is `enough` standard deviations or less, or the likelihood falls whatever its length.
         """
-        reached = self._total(values, courses)
+        reached = self._total(values, near)
         for _ in range(self.settings.likelihood_rounds):
-            information, scores = self._curvature(values, courses)
+            information, scores = self._curvature(values, near)
             moved = self._bounded_step(values, information, scores.total)
             for _ in range(6):
-                likelihood = self._total(moved, courses)
+                likelihood = self._total(moved, near)
                 if likelihood >= reached:
                     break
                 moved = (moved + values) / 2
@@ -243,8 +244,8 @@ class _Search:
                 break
         return values
 
-    def _total(self, values: np.ndarray, courses: np.ndarray) -> float:
-        return self.model.evaluate(self.at(values), courses=courses).total
+    def _total(self, values: np.ndarray, near: LostCommands) -> float:
+        return self.model.evaluate(self.at(values), near=near).total
 
     def polished(self, values: np.ndarray) -> np.ndarray:
         """Search a little around values where the motion changes by jumps."""
@@ -325,7 +326,7 @@ class _Search:
             nothing = np.zeros((0, 0))
             return EstimatedSet(fitted, values, nothing, np.zeros((runs, 0)), nothing, evidence)
         if lossy:
-            curvature, (scores, _) = self._curvature(values, fitted.courses)
+            curvature, (scores, _) = self._curvature(values, self.model.lost_commands(mechanisms))
             information, naive = curvature, np.linalg.inv(curvature)
         else:
             slopes = self.slopes(values, fitted.whitened.ravel())
@@ -341,23 +342,26 @@ class _Search:
         evidence += len(values) * np.log(2 * np.pi) / 2 - float(np.linalg.slogdet(curvature)[1]) / 2
         return EstimatedSet(fitted, values, information, by_run, naive, evidence)
 
-    def _curvature(self, values: np.ndarray, courses: np.ndarray) -> tuple[np.ndarray, "Scores"]:
+    def _curvature(self, values: np.ndarray, near: LostCommands) -> tuple[np.ndarray, "Scores"]:
         """Return the curvature (P, P) of the log-likelihood by its scores, and these.
+
+        By central differences, for which one member stands for the simulation unless all must be exact.
 
         Which course each transition took stays as it is: where that changes, one transition's log-likelihood jumps and
         the next one's jumps back, and the squares of both would be taken for information.
         """
-        slopes = [self._slope(values, index, courses) for index in range(len(values))]
+        here = near if self.is_exact else self.model.lost_commands(self.at(values), near=near)
+        slopes = [self._slope(values, index, here) for index in range(len(values))]
         scores = Scores(*(np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True)))
         return scores.of_each.T @ scores.of_each + self.prior_precision, scores
 
-    def _slope(self, values: np.ndarray, index: int, courses: np.ndarray) -> "Scores":
+    def _slope(self, values: np.ndarray, index: int, near: LostCommands) -> "Scores":
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
             moved[index] += sign * self.step[index]
             moved = self.clipped(moved)
-            fitted = self.model.evaluate(self.at(moved), courses=courses)
+            fitted = self.model.evaluate(self.at(moved), near=near, is_quick=not self.is_exact)
             ends.append((moved[index], Scores(fitted.log_likelihood, np.array(fitted.total))))
         (ahead, first), (back, second) = ends
         return Scores(*((one - other) / max(ahead - back, 1e-12) for one, other in zip(first, second, strict=True)))

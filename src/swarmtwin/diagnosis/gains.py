@@ -285,7 +285,7 @@ def _sizes(error: np.ndarray) -> np.ndarray:
 
 
 def _gain_text(gain: Gain, unit: str) -> str:
-    return f"{gain.before:.2f} → {gain.after:.2f} {unit}, 95 %: {gain.low:.2f} to {gain.high:.2f} less"
+    return f"{gain.before:.2f} → {gain.after:.2f} {unit}, 95 %: {gain.change_words}"
 
 
 def _gain(before: np.ndarray, after: np.ndarray, run: np.ndarray, draws: int, rng: np.random.Generator) -> Gain:

@@ -23,7 +23,7 @@ from swarmtwin.diagnosis.random_effects import (
     unit_effects_of_outcomes,
 )
 from swarmtwin.diagnosis.session_errors import SessionErrors
-from swarmtwin.diagnosis.session_prediction import SessionPredictor, arrival_probability
+from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
@@ -172,12 +172,8 @@ class SessionLikelihood(SessionErrors):
         """
         if self.members < 2:
             return self.errors(mechanisms)
-        change = self._one_member.twist(mechanisms) - self._one_member.twist(near)
+        change = self.one_member.twist(mechanisms) - self.one_member.twist(near)
         return self.errors_of(self.predictor.twist(near) + change)
-
-    @cached_property
-    def _one_member(self) -> SessionPredictor:
-        return self.predictor.with_member(0)
 
     def effects_with(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
         """Return the random effects, and those of the form of mechanisms.
@@ -232,15 +228,17 @@ class SessionLikelihood(SessionErrors):
         self,
         mechanisms: Sequence[Mechanism],
         effects: RandomEffects | None = None,
-        courses: np.ndarray | None = None,
+        near: LostCommands | None = None,
+        is_quick: bool = False,
     ) -> FittedMechanisms:
         """Return how likely the session is with mechanisms as they are.
 
         Args:
             mechanisms: some of which may lose commands.
             effects: what is unknown beside them; None: what is without any mechanism.
-            courses: (N,) the course by which each transition says what noise the next one begins with, where commands
-                may be lost; None: the likeliest, which changes by jumps with the mechanisms.
+            near: where commands may be lost, what `lost_commands` says of nearly the same mechanisms; None: all is
+                looked for anew, and the likeliest courses change by jumps with the mechanisms.
+            is_quick: whether how much they differ from these is asked of one member alone.
         """
         effects = effects or self.effects
         arrives = arrival_probability(mechanisms)
@@ -254,11 +252,7 @@ class SessionLikelihood(SessionErrors):
             scale = self._scale(residual)
             density = log_density(residual / scale, freedom)
         else:
-            lost, where_lost = LostCommands(self, mechanisms, courses), self._unit_effects_where_lost
-            for _ in range(2):
-                sizes = effects.sizes(lost.whitened)
-                effect_errors = self.filter.inverse(effects.of_sizes(sizes))
-                lost.expect(effect_errors, where_lost @ sizes[: where_lost.shape[-1]])
+            lost = self.lost_commands(mechanisms, effects, near, is_quick)
             taken = lost.likeliest
             whitened, sizes = lost.whitened, effects.sizes(lost.whitened)
             shift = effects.of_sizes(sizes)
@@ -271,6 +265,22 @@ class SessionLikelihood(SessionErrors):
         return FittedMechanisms(
             tuple(mechanisms), log_likelihood, whitened, residual, scale, penalty, effect_errors, taken
         )
+
+    def lost_commands(
+        self,
+        mechanisms: Sequence[Mechanism],
+        effects: RandomEffects | None = None,
+        near: LostCommands | None = None,
+        is_quick: bool = False,
+    ) -> LostCommands:
+        """Return which commands arrived, where random effects make errors as well; arguments are as in `evaluate`."""
+        effects = effects or self.effects
+        lost, where_lost = LostCommands(self, mechanisms, near, is_quick), self._unit_effects_where_lost
+        for _ in range(2):
+            sizes = effects.sizes(lost.whitened)
+            effect_errors = self.filter.inverse(effects.of_sizes(sizes))
+            lost.expect(effect_errors, where_lost @ sizes[: where_lost.shape[-1]])
+        return lost
 
     def log_likelihood_with_motion_noise(self, mechanisms: Sequence[Mechanism], factor: float) -> np.ndarray:
         """Return (N,) the log-likelihood of each transition where the motion is `factor` times as random.
@@ -315,7 +325,7 @@ class SessionLikelihood(SessionErrors):
             mechanisms,
         )
         other.predictor, other.flexible = self.predictor, self.flexible
-        other._one_member = self._one_member
+        other.one_member = self.one_member
         other.discrepancy, other.disagreement = self.discrepancy, self.disagreement
         return other
 

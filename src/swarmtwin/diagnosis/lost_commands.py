@@ -7,9 +7,12 @@ k old. The oldest that are followed stand for all older ones.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy import special
+from torch import Tensor
 
 from swarmtwin.compiled import compiled
 from swarmtwin.diagnosis.noise import log_density
@@ -68,7 +71,9 @@ class LostCommands:
     Args:
         model: of the session of N transitions.
         mechanisms: some of which lose commands.
-        courses: (N,) taken for the likeliest ones; None: these are looked for.
+        near: the same with nearly the same mechanisms: its likeliest courses are kept, and the errors of those that not
+            one transition took; None: all is looked for.
+        is_quick: whether how the others differ from those of `near` is asked of one member of the simulation alone.
 
     Attributes:
         likeliest: (N,) each transition's likeliest course.
@@ -76,12 +81,29 @@ class LostCommands:
     """
 
     def __init__(
-        self, model: SessionErrors, mechanisms: Sequence[Mechanism], courses: np.ndarray | None = None
+        self,
+        model: SessionErrors,
+        mechanisms: Sequence[Mechanism],
+        near: "LostCommands | None" = None,
+        is_quick: bool = False,
     ) -> None:
-        self._model, self._taken = model, courses
+        self._model, self._mechanisms, self._near = model, mechanisms, near
         self._ages = Ages.of(model, mechanisms)
-        self._errors = _errors_of_courses(model, mechanisms, self._ages)
+        kept, courses = near.errors_of_rare if near else {}, range(2 * self._ages.oldest)
+        self._twists = {one: self._twist(one, is_quick) for one in courses if one not in kept}
+        errors = kept | {one: model.errors_of(twist) for one, twist in self._twists.items()}
+        self._errors = np.stack([errors[one] for one in courses], axis=-1)
         self.expect(np.zeros((len(self._errors), 3)), np.zeros((len(self._errors), 3, 4)))
+
+    def _twist(self, course: int, is_quick: bool) -> Tensor:
+        """Return the measured twists (N, 3) of a course."""
+        if not is_quick or self._near is None or self._model.members < 2:
+            return self._model.predictor.course(self._mechanisms, course)
+        now, before = (
+            self._model.one_member.course(mechanisms, course)
+            for mechanisms in (self._mechanisms, self._near._mechanisms)
+        )
+        return self._near._twists[course] + (now - before)
 
     def expect(self, effect_errors: np.ndarray, where_lost: np.ndarray) -> None:
         """Choose the likeliest courses anew, where random effects make errors.
@@ -95,14 +117,23 @@ class LostCommands:
         where_lost = np.concatenate([where_lost, *of_older], axis=-1)
         errors = self._errors - where_lost
         each = np.arange(len(errors))
-        if self._taken is None:
-            self.likeliest = _likeliest(self._model, errors - effect_errors[..., None], self._ages)
+        if self._near is None:
+            self._density = _density_of_courses(self._model, errors - effect_errors[..., None], self._ages)
+            self.likeliest = self._density.argmax(axis=1)
         else:
-            self.likeliest = self._taken
+            self.likeliest = self._near.likeliest
         chosen = errors[each, :, self.likeliest]
         history = np.repeat(chosen[..., None], errors.shape[-1], axis=-1)
         self._courses = self._model.filter.with_history(errors, history)
         self.whitened = self._courses[each, :, self.likeliest]
+
+    @cached_property
+    def errors_of_rare(self) -> dict[int, np.ndarray]:
+        """The errors (N, 3) of each course that less than one transition is expected to have taken."""
+        if self._near is not None:
+            return self._near.errors_of_rare
+        taken = special.softmax(self._density, axis=1).sum(axis=0)
+        return {int(course): self._errors[..., course] for course in np.flatnonzero(taken < 1.0)}
 
     def log_density(self, shift: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Return (N,) log densities, each given the transitions before it in its run.
@@ -156,22 +187,14 @@ def _log_density(
 def likeliest_errors(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
     """Return the errors (N, 3) of each transition's likeliest course, by the reference's noise."""
     ages = Ages.of(model, mechanisms)
-    errors = _errors_of_courses(model, mechanisms, ages)
-    return errors[np.arange(len(errors)), :, _likeliest(model, errors, ages)]
+    twists = (model.predictor.course(mechanisms, course) for course in range(2 * ages.oldest))
+    errors = np.stack([model.errors_of(twist) for twist in twists], axis=-1)
+    return errors[np.arange(len(errors)), :, _density_of_courses(model, errors, ages).argmax(axis=1)]
 
 
-def _errors_of_courses(model: SessionErrors, mechanisms: Sequence[Mechanism], ages: Ages) -> np.ndarray:
-    """Return the errors (N, 3, 2 K) of each course."""
-    twists = list(model.predictor.outcomes(mechanisms))
-    for age in range(3, ages.oldest + 1):
-        twists += model.predictor.outcomes_of_older(mechanisms, age)
-    return np.stack([model.errors_of(twist) for twist in twists], axis=-1)
-
-
-def _likeliest(model: SessionErrors, errors: np.ndarray, ages: Ages) -> np.ndarray:
-    """Return (N,) which of the courses with errors (N, 3, 2 K) each transition most likely took."""
+def _density_of_courses(model: SessionErrors, errors: np.ndarray, ages: Ages) -> np.ndarray:
+    """Return (N, 2 K) the log of how probable each course is and errors (N, 3, 2 K) are in it, of each by itself."""
     chance = np.log(ages.course_probability)
     spread, freedom = model.usual_spread[..., None], model.reference_noise.degrees_of_freedom
-    alone = log_density((errors / spread).transpose(0, 2, 1), freedom) + chance
-    likeliest: np.ndarray = alone.argmax(axis=1)
-    return likeliest
+    alone: np.ndarray = log_density((errors / spread).transpose(0, 2, 1), freedom) + chance
+    return alone

@@ -223,7 +223,7 @@ def _drives(model: SessionLikelihood, seed: int) -> list[_Drive]:
 
 
 def _record_command(robot: Robot, runs: int, steps: int) -> str:
-    return f"swarmtwin record robot={robot.name} drive={DRIVE_FILE} runs={runs} steps={steps} output=DIR"
+    return f"swarmtwin collect robot={robot.name} drive={DRIVE_FILE} runs={runs} steps={steps} output=DIR"
 
 
 def _commands(robot: Robot, settings: NextRecordingSettings, rng: np.random.Generator) -> list[np.ndarray]:

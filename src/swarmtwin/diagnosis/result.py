@@ -96,6 +96,14 @@ class Gain(StrictModel):
     low: Number
     high: Number
 
+    @property
+    def change_words(self) -> str:
+        """The interval in words, such as `0.42 to 0.58 less`."""
+        low, high = f"{abs(self.low):.2f}", f"{abs(self.high):.2f}"
+        if self.high < 0:
+            return f"{high} to {low} more"
+        return f"{low} to {high} less" if self.low >= 0 else f"{low} more to {high} less"
+
 
 class WindowGain(Gain):
     """Root mean square error of positions over windows of one length in open loop, its mean over windows.
@@ -184,20 +192,26 @@ class UnitDifference(StrictModel):
         vehicle: its id.
         way: how far it goes ahead, over what is simulated.
         turn: how far it turns, likewise.
+        left_to_right: how fast its left wheel is to its right one, likewise; null where the robot has no such wheels.
         usual: standard deviation by which units are expected to differ.
     """
 
     vehicle: str
     way: Estimate
     turn: Estimate
+    left_to_right: Estimate | None = None
     usual: Number
 
     @property
     def is_unusual(self) -> bool:
         """Whether it differs by more than one standard deviation of units, and of chance by two."""
-        return any(
-            abs(one.value - 1.0) > self.usual and not one.low <= 1.0 <= one.high for one in (self.way, self.turn)
-        )
+        return any(abs(one.value - 1.0) > self.usual and not one.low <= 1.0 <= one.high for one in self.factors)
+
+    @property
+    def factors(self) -> tuple[Estimate, ...]:
+        """All that is told of it; 1 as simulated."""
+        known = self.way, self.turn, self.left_to_right
+        return tuple(one for one in known if one is not None)
 
 
 class DetectionLimit(StrictModel):

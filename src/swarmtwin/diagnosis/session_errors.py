@@ -75,6 +75,11 @@ class SessionErrors:
         errors: np.ndarray = twist_between(moved_along(self._nowhere, twist), self._measured).numpy()
         return errors
 
+    @cached_property
+    def one_member(self) -> SessionPredictor:
+        """One member of the simulation, or of what answers quickly in its place: for differences."""
+        return self.predictor.with_member(0)
+
     def errors(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return the errors (N, 3) of the simulation with mechanisms, where every command arrives."""
         return self.errors_of(self.predictor.twist(mechanisms))

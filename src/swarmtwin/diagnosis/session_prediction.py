@@ -161,13 +161,19 @@ class SessionPredictor:
         """
         return 2 if self.sent else 8
 
-    def outcomes_of_older(self, mechanisms: Sequence[Mechanism], age: int) -> tuple[Tensor, Tensor]:
-        """Return the measured twists (N, 3) where the command of so many periods before, three or more, was in force.
+    def course(self, mechanisms: Sequence[Mechanism], number: int) -> Tensor:
+        """Return the measured twists (N, 3) of a course of `lost_commands`: of `outcomes`, or of an older command.
 
-        Returns:
-            where the present command arrives, and where that one goes on. Where a run has not had so many periods yet,
-            its first known command was.
+        Where a run has not had so many periods yet, its first known command was in force.
         """
+        if number < len(_OUTCOMES):
+            return self._known_twist(mechanisms, _OUTCOMES[number])
+        age, goes_on = divmod(number, 2)
+        _, arrived, _, lost = _OUTCOMES
+        return self._with_older(age + 1)._known_twist(mechanisms, lost if goes_on else arrived)
+
+    def _with_older(self, age: int) -> "SessionPredictor":
+        """Return it with the command of so many periods before, three or more, in the place of the earlier one."""
         if age not in self.of_older:
             older = self.situation.earlier_command
             assert older is not None
@@ -179,9 +185,7 @@ class SessionPredictor:
             self.of_older[age] = SessionPredictor(
                 self.base, self.conditions, situation, self.follows, self.sent, self.quick
             )
-        _, arrived, _, lost = _OUTCOMES
-        predictor = self.of_older[age]
-        return predictor._known_twist(mechanisms, arrived), predictor._known_twist(mechanisms, lost)
+        return self.of_older[age]
 
     def _known_twist(self, mechanisms: Sequence[Mechanism], roles: Sequence[int], most_kept: int = 24) -> Tensor:
         """Return the twists (N, 3), known what arrived; those of the last few mechanisms are not predicted anew."""

@@ -48,8 +48,8 @@ def check_columns(found: Sequence[str], robot: Robot, file: Path) -> tuple[str, 
 
 
 def _missing_column(missing: str, found: Sequence[str], robot: Robot, file: Path) -> UserError:
-    for other in known_robots():
-        if other.name != robot.name and set(other.command_columns) <= set(found):
+    for other in known_robots() if missing in robot.command_columns else ():
+        if other.name != robot.name and set(run_columns(other)) <= set(found):
             what = f"the columns are those of robot {other.name!r}, not of {robot.name!r}"
             return fault(file, what, f"put the file in a recording of {other.name!r}, and read that one", row=1)
     unread = [name for name in found if name not in run_columns(robot)]

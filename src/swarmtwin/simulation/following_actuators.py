@@ -209,7 +209,7 @@ class SettingChange(NamedTuple):
         pieces there are.
         """
         steady = twists.steady(self.towards)
-        if not any(self.left):
+        if not any(self.left) or torch.equal(self.start, twists.setting(self.towards)):
             return [steady] * len(self.left)
         points = (1 - np.cos(np.linspace(0, np.pi, 5))) / 2
         known = [steady, *(self._on_the_way(twists, float(point)) for point in points[1:])]

@@ -5,7 +5,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from string import Formatter
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from swarmtwin.diagnosis.result import (
     Cause,
@@ -38,7 +38,6 @@ SHAPES = {
     "spread": "Errors scatter {} than the ordinary noise.",
     "tails": "Large errors are {} common than they were.",
 }
-ONE_WHEEL = ("gain_change", "actuator_asymmetry")  # causes that one weak wheel is told as
 QUESTIONS = PARTS | {"spread": "how errors scatter", "tails": "how common large errors are"}
 COMPONENTS = {
     "forward": "how much further forward it goes than simulated",
@@ -86,17 +85,9 @@ def cause_set_title(causes: Sequence[str]) -> str:
 
 
 def _wrong_and_to_do(causes: Sequence[Cause]) -> list[tuple[str, str]]:
-    """Return what is wrong, each with what to repair or check, causes without a rival first.
-
-    Two causes that say that one wheel is weak are one.
-    """
-    weak = _weak_wheel(causes)
-    others = [cause for cause in causes if not weak or cause.name not in ONE_WHEEL]
-    surest_first = sorted(others, key=lambda cause: bool(cause.rivals))
-    told = [(f"{cause_summary(cause)}{_or_rival(cause)}", mechanism_class(cause.name).remedy) for cause in surest_first]
-    if weak is None:
-        return told
-    return [(f"the {weak[0]} wheel runs at {weak[1]:.2f} of its speed", "check its motor, gear and tyre"), *told]
+    """Return what is wrong, each with what to repair or check, causes without a rival first."""
+    surest_first = sorted(causes, key=lambda cause: bool(cause.rivals))
+    return [(f"{cause_summary(cause)}{_or_rival(cause)}", mechanism_class(cause.name).remedy) for cause in surest_first]
 
 
 def _or_rival(cause: Cause) -> str:
@@ -106,29 +97,17 @@ def _or_rival(cause: Cause) -> str:
     return f" (probability {probability_words(cause.confidence)}; less likely, but not excluded: {rivals})"
 
 
-def _weak_wheel(causes: Sequence[Cause]) -> tuple[str, float] | None:
-    """Return the side and the speed of one wheel where two causes together say that the other one is as it was."""
-    parameters = {cause.name: cause.parameters for cause in causes}
-    if not set(ONE_WHEEL) <= parameters.keys() or "ratio" not in parameters["actuator_asymmetry"]:
-        return None
-    gain, ratio = parameters["gain_change"]["gain"], parameters["actuator_asymmetry"]["ratio"]
-    spread = math.hypot(_relative(gain), _relative(ratio) / 2)
-    for side, power in (("left", 0.5), ("right", -0.5)):
-        if abs(math.log(gain.value * ratio.value**-power)) <= spread:
-            return side, gain.value * ratio.value**power
-    return None
-
-
-def _relative(estimate: Estimate) -> float:
-    return (estimate.high - estimate.low) / 2 / estimate.value
-
-
 def verdict_words(diagnosis: DiagnosisResult) -> str:
     """Return in one plain sentence what is wrong and what to do."""
     if diagnosis.verdict == "no_gap":
         if other := max((one for one in diagnosis.units if one.is_unusual), key=_unlike, default=None):
             remedy = "calibrate it, or learn the simulation from it as well"
             return f"No gap was found beyond how units differ: {unit_words(other)}{DASH}{remedy}."
+        if any(test.part == "spread" and test.found and test.explained > 0 for test in diagnosis.tests):
+            return (
+                "No gap was found in how the robot moves on average, but its errors scatter more than the ordinary "
+                f"noise{DASH}look for what acts at random: a wheel out of round, a loose marker, a worse picture."
+            )
         return (
             "No gap was found: within its ordinary noise the robot does what the simulation says, as far as this "
             "recording can show it; go on with the simulation."
@@ -152,12 +131,13 @@ def verdict_words(diagnosis: DiagnosisResult) -> str:
 
 def unit_words(unit: UnitDifference) -> str:
     """Return in words how far a vehicle goes and turns of its own."""
-    way, turn = (value_words("factor", one) for one in (unit.way, unit.turn))
-    return f"vehicle {unit.vehicle} goes {way} times as far and turns {turn} times as much as simulated"
+    way, turn, *sides = (value_words("factor", one) for one in unit.factors)
+    told = f"vehicle {unit.vehicle} goes {way} times as far and turns {turn} times as much as simulated"
+    return f"{told}, and its left wheel is {sides[0]} times as fast beside the right one" if sides else told
 
 
 def _unlike(unit: UnitDifference) -> float:
-    return max(abs(unit.way.value - 1.0), abs(unit.turn.value - 1.0))
+    return max(abs(one.value - 1.0) for one in unit.factors)
 
 
 def _look_at(diagnosis: DiagnosisResult) -> str:
@@ -307,13 +287,16 @@ def odds_words(nats: float) -> str:
 
 
 class _Told(NamedTuple):
-    """A parameter in words, or a form; formatted by `ahead/behind` the one for its sign, or for the usual form."""
+    """A parameter, or the word for a form; formatted by `ahead/behind` the one for its sign, or its place."""
 
     words: str = ""
-    is_negative: bool = False
+    place: int = 0
 
-    def __format__(self, directions: str) -> str:
-        return directions.split("/")[self.is_negative] if directions else self.words
+    def __format__(self, choices: str) -> str:
+        if not choices:
+            return self.words
+        offered = choices.split("/")
+        return offered[min(self.place, len(offered) - 1)]
 
 
 def _filled_words(cause: EstimatedCause, tell: Callable[[str, Estimate], str]) -> str:
@@ -321,12 +304,18 @@ def _filled_words(cause: EstimatedCause, tell: Callable[[str, Estimate], str]) -
     mechanism = mechanism_class(cause.name)
     directed = {name for _, name, directions, _ in Formatter().parse(mechanism.words) if directions}
     told = {
-        name: _Told(tell(name, _size(estimate) if name in directed else estimate), estimate.value < 0)
+        name: _Told(tell(name, _size(estimate) if name in directed else estimate), int(estimate.value < 0))
         for name, estimate in cause.parameters.items()
     }
-    usual = mechanism.usual_form()
-    form = {name: _Told(words, words != usual.get(name)) for name, words in (usual | cause.form).items()}
+    forms = mechanism.usual_form() | cause.form
+    form = {name: _Told(words, _place_among_forms(mechanism, name, words)) for name, words in forms.items()}
     return mechanism.words.format_map(defaultdict(_Told, form | told))
+
+
+def _place_among_forms(mechanism: type[Mechanism], field: str, word: str) -> int:
+    """Return the place of a word among those that a field of a mechanism's form may hold, 0 for the usual one."""
+    words = [mechanism.usual_form()[field], *get_args(mechanism.model_fields[field].annotation), word]
+    return list(dict.fromkeys(words)).index(word)
 
 
 def _size(estimate: Estimate) -> Estimate:

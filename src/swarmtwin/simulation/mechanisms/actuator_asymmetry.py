@@ -13,16 +13,21 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 
 
 class Config(Mechanism):
-    """The left wheel is faster than the right one by `ratio`, their geometric mean unchanged; or what steers is askew.
+    """One wheel is weaker or stronger than it was, or left and right differ; or what steers is askew.
 
     Attributes:
-        ratio: of wheels.
+        ratio: of a wheel's speed to what it was; where `side` is both, of the left one to the right one, with their
+            geometric mean unchanged.
+        side: whose speed it is.
         angle_rad: of what is steered by an angle: a fin, or wheels.
     """
 
     stage: ClassVar = "actuators"
-    words: ClassVar = "left and right differ: {ratio}{angle_rad}"
-    remedy: ClassVar = "compare the wheels or motors, or trim the fin"
+    words: ClassVar = (
+        "{side:left and right differ:/the left wheel runs at/the right wheel runs at} {ratio}{angle_rad}"
+        "{side:/ times its speed/ times its speed}"
+    )
+    remedy: ClassVar = "compare the wheels, their motors and gears, or trim the fin"
     parameters: ClassVar = {
         "ratio": Parameter(0.3, 3.0, 1.0, "", (1.0,)),
         "angle_rad": Parameter(-0.7, 0.7, 0.0, "rad", (0.0,), 0.01),
@@ -30,7 +35,15 @@ class Config(Mechanism):
 
     name: Literal["actuator_asymmetry"] = "actuator_asymmetry"
     ratio: float | None = None
+    side: Literal["both", "left", "right"] = "both"
     angle_rad: float | None = None
+
+    @classmethod
+    def forms(cls, robot: Robot) -> tuple[type[Mechanism], ...]:
+        """Return for wheels that of each side and that of both."""
+        if robot.actuation.steering or robot.actuation.kind != "wheel":
+            return (Config,)
+        return Config, Config.with_default("side", "left"), Config.with_default("side", "right")
 
     @classmethod
     def suits(cls, robot: Robot, conditions: SessionConditions) -> bool:
@@ -54,7 +67,9 @@ class Config(Mechanism):
         return changed
 
     def supply_gain(self, moment: Moment) -> Tensor | None:
-        """Make one wheel faster, the other slower."""
+        """Make one wheel faster or slower, or one faster and the other slower."""
         if self.ratio is None:
             return None
-        return torch.tensor([[self.ratio**0.5, self.ratio**-0.5]], dtype=torch.float64)
+        of_left = {"both": 0.5, "left": 1.0, "right": 0.0}[self.side]
+        of_right = {"both": -0.5, "left": 0.0, "right": 1.0}[self.side]
+        return torch.tensor([[self.ratio**of_left, self.ratio**of_right]], dtype=torch.float64)
