@@ -152,6 +152,17 @@ def test_drift_is_the_same_in_the_arena_whatever_the_heading(robots):
     assert told == pytest.approx({"speed_mm_s": 5.0, "direction_rad": math.atan2(4, 3)})
 
 
+def test_on_a_slope_wheels_roll_down_as_far_as_they_point_there(robots):
+    robot = robots["mgr"]
+    situation = situation_of(robot, np.random.default_rng(6))
+    rolling, simulated = moved(robot, "steady_drift", situation, x_mm_s=7.0, y_mm_s=-3.0, carries="wheels")
+    apart = compose(situation.pose, rolling) - compose(situation.pose, simulated)
+    heading = situation.pose[:, 2] + log_map(simulated)[:, 2] / 2
+    ahead_mm = (7.0 * heading.cos() - 3.0 * heading.sin()) * situation.duration_s
+    expected = torch.stack([ahead_mm * heading.cos(), ahead_mm * heading.sin(), torch.zeros_like(ahead_mm)], dim=-1)
+    torch.testing.assert_close(apart, expected, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "values"),
     [
