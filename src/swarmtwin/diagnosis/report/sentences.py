@@ -198,7 +198,7 @@ def limit_words(limit: DetectionLimit) -> str:
     It has two digits of how far it is from doing nothing.
     """
     if limit.value is None:
-        return "not at any value"
+        return "not at any value in a recording like this"
     factor, sign = _unit_told(limit.parameter, limit.unit)
     parameter = mechanism_class(limit.cause).parameters.get(limit.parameter)
     usual = parameter.null_value or 0.0 if parameter and not limit.unit else 0.0
