@@ -257,6 +257,7 @@ OWN_UNIT = UnitDifference(
             "No gap was found beyond how units differ: vehicle 7 goes 0.86 times as far",
         ),
         ("explained", {}, "The robot departs from the simulation because commands act"),
+        ("explained", {"units": (OWN_UNIT,)}, "Beside that, vehicle 7 goes 0.86 times as far"),
         ("unexplained", {}, "latency; something else is wrong that has no name – look for what changed, or"),
         (
             "unexplained",
@@ -291,6 +292,21 @@ def test_every_verdict_has_its_page_and_loads_nothing(tmp_path, verdict, changes
     files = {file.stem for file in (tmp_path / "figures").glob("*.png")}
     assert len(page.loaded) == len(files)
     assert set(leading_pictures(diagnosis)) <= files
+
+
+@pytest.mark.parametrize("has_two_wheels", [True, False])
+def test_a_units_left_wheel_is_told_beside_its_right_one_where_it_has_two(tmp_path, has_two_wheels):
+    sides = Estimate(value=0.9, low=0.88, high=0.92, unit="") if has_two_wheels else None
+    unit = OWN_UNIT.model_copy(update={"left_to_right": sides})
+    page = page_of(made_session(made_result("no_gap", units=(unit,)), moved_as_simulated), tmp_path)
+    assert ("its left wheel is 0.90 times as fast beside the right one" in page.above) == has_two_wheels
+    assert ("left wheel to right wheel" in page.text) == has_two_wheels
+
+
+def test_a_form_that_the_mechanism_does_not_know_is_passed_over():
+    """As of a diagnosis by another version."""
+    cause = DELAY.model_copy(update={"form": {"unheard_of": "some"}})
+    assert cause_words(cause) == cause_words(DELAY)
 
 
 def test_vehicles_may_be_called_anything(tmp_path):

@@ -177,5 +177,6 @@ def table(diagnosis: DiagnosisResult) -> Table:
         for name, gain in _gains(diagnosis).items()
     )
     depends = ", ".join(diagnosis.depends_on) or "nothing"
-    shown.caption = f"before the extension, the residual depends on: {depends}\non held-out runs\n{gains}"
+    before = "" if diagnosis.extension == "none" else "before the extension, "
+    shown.caption = f"{before}the residual depends on: {depends}\non held-out runs\n{gains}"
     return shown

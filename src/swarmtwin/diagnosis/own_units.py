@@ -30,10 +30,11 @@ def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> t
     for vehicle in model.unknown_vehicles:
         own = transitions.vehicle == transitions.vehicles.index(vehicle)
         way, turn = (_factor(effects, sizes, directions[own, axis], motion[own, axis]) for axis in (0, 2))
-        sides = None
-        if model.robot.actuation.kind == "wheel" and (track_mm := model.session.conditions.track_mm):
-            turned = motion[own, 0] / track_mm  # by a left wheel that is faster, to the right
-            sides = _factor(effects, sizes, -directions[own, 2], turned)
+        sides, actuation = None, model.robot.actuation
+        if actuation.kind == "wheel" and not actuation.steering and (track_mm := model.session.conditions.track_mm):
+            sides = _factor(
+                effects, sizes, directions[own, 2], -motion[own, 0] / track_mm
+            )  # a faster left one, rightwards
         told.append(UnitDifference(vehicle=vehicle, way=way, turn=turn, left_to_right=sides, usual=model.unit_spread))
     return tuple(told)
 

@@ -168,7 +168,8 @@ class NextRecording(StrictModel):
     Attributes:
         separates: names of the causes it tells apart; none where it is to show smaller effects.
         lowers: causes that would be named from a smaller size on, each with the share of its limit that remains.
-        drive: name of a CSV file beside `diagnosis.json` with the robot's command columns, for `record drive=FILE`.
+        drive: name of a CSV file beside `diagnosis.json` with the robot's command columns, for `collect drive=FILE` or
+            `record drive=FILE`.
         runs: how many runs.
         steps: transitions in a run.
         expected_nats: expected log-likelihood ratio between the two best rivals after it, in nats; 5 decides. 0 where

@@ -98,20 +98,30 @@ def _or_rival(cause: Cause) -> str:
 
 
 def verdict_words(diagnosis: DiagnosisResult) -> str:
-    """Return in one plain sentence what is wrong and what to do."""
+    """Return in plain sentences what is wrong and what to do, and whose unit differs more than units usually do."""
+    other = max((one for one in diagnosis.units if one.is_unusual), key=_unlike, default=None)
     if diagnosis.verdict == "no_gap":
-        if other := max((one for one in diagnosis.units if one.is_unusual), key=_unlike, default=None):
-            remedy = "calibrate it, or learn the simulation from it as well"
-            return f"No gap was found beyond how units differ: {unit_words(other)}{DASH}{remedy}."
-        if any(test.part == "spread" and test.found and test.explained > 0 for test in diagnosis.tests):
-            return (
-                "No gap was found in how the robot moves on average, but its errors scatter more than the ordinary "
-                f"noise{DASH}look for what acts at random: a wheel out of round, a loose marker, a worse picture."
-            )
+        return _no_gap_words(diagnosis, other)
+    beside = f" Beside that, {unit_words(other)}: more than units usually differ by." if other else ""
+    return _gap_words(diagnosis) + beside
+
+
+def _no_gap_words(diagnosis: DiagnosisResult, other: UnitDifference | None) -> str:
+    if other:
+        remedy = "calibrate it, or learn the simulation from it as well"
+        return f"No gap was found beyond how units differ: {unit_words(other)}{DASH}{remedy}."
+    if any(test.part == "spread" and test.found and test.explained > 0 for test in diagnosis.tests):
         return (
-            "No gap was found: within its ordinary noise the robot does what the simulation says, as far as this "
-            "recording can show it; go on with the simulation."
+            "No gap was found in how the robot moves on average, but its errors scatter more than the ordinary "
+            f"noise{DASH}look for what acts at random: a wheel out of round, a loose marker, a worse picture."
         )
+    return (
+        "No gap was found: within its ordinary noise the robot does what the simulation says, as far as this recording "
+        "can show it; go on with the simulation."
+    )
+
+
+def _gap_words(diagnosis: DiagnosisResult) -> str:
     found = [f"{wrong}{DASH}{remedy}" for wrong, remedy in _wrong_and_to_do(diagnosis.causes)]
     because = enumeration(found, "; ", "; and because ")
     if diagnosis.verdict == "explained":
@@ -314,7 +324,8 @@ def _filled_words(cause: EstimatedCause, tell: Callable[[str, Estimate], str]) -
 
 def _place_among_forms(mechanism: type[Mechanism], field: str, word: str) -> int:
     """Return the place of a word among those that a field of a mechanism's form may hold, 0 for the usual one."""
-    words = [mechanism.usual_form()[field], *get_args(mechanism.model_fields[field].annotation), word]
+    known = get_args(mechanism.model_fields[field].annotation) if field in mechanism.model_fields else ()
+    words = [mechanism.usual_form().get(field), *known, word]
     return list(dict.fromkeys(words)).index(word)
 
 

@@ -27,7 +27,7 @@ class Config(Mechanism):
         "{side:left and right differ:/the left wheel runs at/the right wheel runs at} {ratio}{angle_rad}"
         "{side:/ times its speed/ times its speed}"
     )
-    remedy: ClassVar = "compare the wheels, their motors and gears, or trim the fin"
+    remedy: ClassVar = "compare both sides: wheels, motors, gears; or trim what steers"
     parameters: ClassVar = {
         "ratio": Parameter(0.3, 3.0, 1.0, "", (1.0,)),
         "angle_rad": Parameter(-0.7, 0.7, 0.0, "rad", (0.0,), 0.01),
