@@ -131,6 +131,48 @@ def test_two_at_once_must_be_exactly_these():
     assert formulas(results)["three"]["exact"].share is None
 
 
+def test_what_became_of_sessions_that_are_not_told_as_a_whole():
+    pair = "dead_band+marker_yaw"
+    results = [
+        result("two", pair, ["marker_yaw", "dead_band"]),
+        result("two", pair, ["dead_band"]),
+        result("two", pair, ["dead_band"], same_vehicle=False),
+        result("two", pair, ["marker_yaw"]),
+        result("two", pair, ["saturation"], same_vehicle=False),
+        result("one", "dead_band", verdict="unexplained"),
+        result("one", "dead_band", verdict="no_gap", rise=1.0),
+        result("one", "dead_band", verdict="no_gap", rise=5.0),
+        result("one", "dead_band").model_copy(update={"verdict": None, "failure": "ValueError: no", "gained": None}),
+        result("clean", "", ["dead_band"]),
+    ]
+    lost = formulas(results)["not_told"]
+    assert lost.pop("causes_left_out") == {"marker_yaw": 2, "dead_band": 1}
+    assert {name: (share.count, share.total) for name, share in lost.items()} == {
+        "not_exact": (7, 8),
+        "of_other_vehicle": (2, 2),
+        "falsely_named": (1, 7),
+        "left_out": (3, 7),
+        "nameless": (1, 7),
+        "silent": (2, 7),
+        "silent_below": (1, 2),
+    }
+    shown = next(table for table in study_tables(summarise(results)) if "not told" in table.title)
+    told = ["formulas", "7 of 8", "2 of 2", "1", "3", "1", "2", "1", "marker_yaw 2, dead_band 1"]
+    assert [list(row) for row in shown.rows] == [told]
+
+
+def test_what_is_named_as_certain_is_counted_by_what_its_session_hides():
+    results = [
+        result("one", "dead_band", ["dead_band", "saturation"], confidence=0.995),
+        result("one", "dead_band", ["saturation"], confidence=0.9),
+        result("outside", "wobble", ["dead_band"], confidence=1.0),
+        result("clean", "", ["dead_band"], confidence=1.0),
+    ]
+    certain = formulas(results)["certain"]
+    counted = {name: (share.count, share.total) for name, share in certain.items()}
+    assert counted == {"catalogue": (1, 2), "another_law": (0, 0), "nothing": (0, 2)}
+
+
 def test_silence_is_right_where_nothing_is_wrong_and_where_there_is_no_name():
     harmed = HeldOutGain(before_mm=4.0, after_mm=4.04, least_mm=3.9, share=None, share_to_floor=None)
     results = [

@@ -227,9 +227,9 @@ class _Search:
 
         Until a step is `enough` standard deviations or less, or the likelihood falls whatever its length.
         """
-        reached = self._total(values, near)
+        reached, here = self._total(values, near), near
         for _ in range(self.settings.likelihood_rounds):
-            information, scores = self._curvature(values, near)
+            information, scores = self._curvature(values, here)
             moved = self._bounded_step(values, information, scores.total)
             for _ in range(6):
                 likelihood = self._total(moved, near)
@@ -242,6 +242,8 @@ class _Search:
             values, reached = moved, likelihood
             if shift.max() < enough:
                 break
+            if not self.is_exact:
+                here = self.model.lost_commands(self.at(values), near=near)
         return values
 
     def _total(self, values: np.ndarray, near: LostCommands) -> float:
@@ -342,26 +344,25 @@ class _Search:
         evidence += len(values) * np.log(2 * np.pi) / 2 - float(np.linalg.slogdet(curvature)[1]) / 2
         return EstimatedSet(fitted, values, information, by_run, naive, evidence)
 
-    def _curvature(self, values: np.ndarray, near: LostCommands) -> tuple[np.ndarray, "Scores"]:
+    def _curvature(self, values: np.ndarray, here: LostCommands) -> tuple[np.ndarray, "Scores"]:
         """Return the curvature (P, P) of the log-likelihood by its scores, and these.
 
-        By central differences, for which one member stands for the simulation unless all must be exact.
-
-        Which course each transition took stays as it is: where that changes, one transition's log-likelihood jumps and
-        the next one's jumps back, and the squares of both would be taken for information.
+        By central differences from what is known `here`, at these values, for which one member stands for the
+        simulation unless all must be exact. Which course each transition took stays as it is: where that changes, one
+        transition's log-likelihood jumps and the next one's jumps back, and the squares of both would be taken for
+        information.
         """
-        here = near if self.is_exact else self.model.lost_commands(self.at(values), near=near)
         slopes = [self._slope(values, index, here) for index in range(len(values))]
         scores = Scores(*(np.stack(parts, axis=-1) for parts in zip(*slopes, strict=True)))
         return scores.of_each.T @ scores.of_each + self.prior_precision, scores
 
-    def _slope(self, values: np.ndarray, index: int, near: LostCommands) -> "Scores":
+    def _slope(self, values: np.ndarray, index: int, here: LostCommands) -> "Scores":
         ends = []
         for sign in (1.0, -1.0):
             moved = values.copy()
             moved[index] += sign * self.step[index]
             moved = self.clipped(moved)
-            fitted = self.model.evaluate(self.at(moved), near=near, is_quick=not self.is_exact)
+            fitted = self.model.evaluate(self.at(moved), near=here, is_quick=not self.is_exact)
             ends.append((moved[index], Scores(fitted.log_likelihood, np.array(fitted.total))))
         (ahead, first), (back, second) = ends
         return Scores(*((one - other) / max(ahead - back, 1e-12) for one, other in zip(first, second, strict=True)))

@@ -1,5 +1,6 @@
 """What is counted over cases: how often causes are found and rightly named, false alarms, parameters, gains."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -9,6 +10,7 @@ import pandas as pd
 from swarmtwin.studies.hidden_effects.method_comparison import DIAGNOSIS, OTHERS, compared
 from swarmtwin.studies.hidden_effects.proportions import (
     CLEAR,
+    FAINT,
     RISE_BINS,
     Proportion,
     Proportions,
@@ -31,6 +33,12 @@ LIMIT_BINS = {
     "twice or more": (2.0, float("inf")),
 }
 """How many times as large as its detection limit an effect is: from the first figure to below the second."""
+
+HIDING = ("one", "two", "three")
+"""Kinds of sessions that hide causes of the catalogue, which act as their mechanisms do."""
+
+CERTAIN = 0.99
+"""A cause that is named with a greater probability is told as all but certain."""
 
 NAMING = ("exact", "found", "named_first", "listed", "falsely_named")
 OTHER_LAW = ("found", "exact", "likeliest_true", "falsely_named", "not_explained")
@@ -62,6 +70,9 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             found: likewise; costly_found: of what raises the error by 10 % or more.
             not_named: no cause was named; not_named_of_alarmed: where something was said to be wrong.
             not_explained: it was not said that the catalogue explains it, though causes may be named for a part.
+        not_told: of sessions with one, two or three effects, see `_not_told`.
+        certain: of causes named with more than 99 %, those that are there, by what the session hides: causes of the
+            catalogue, one that acts by another law, or `nothing` of the catalogue.
         clean: of sessions with nothing wrong
             accused: a cause was named; accused_of_other_vehicle: of another vehicle than was learned from.
             alarmed: something was said to be wrong, with or without a name.
@@ -112,12 +123,22 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
     one, misspecified, outside, clean = (
         table[table.kind == kind] for kind in ("one", "misspecified", "outside", "clean")
     )
-    hiding = table[table.kind.isin(["one", "two", "three"])]
+    hiding = table[table.kind.isin(HIDING)]
+    certain = confidences[confidences.confidence > CERTAIN]
     return {
         "cases": len(table),
         "failed": Proportion.of(table.verdict == "failed"),
         "one": _naming_by_rise(one),
         **{kind: _naming(table[table.kind == kind]) for kind in ("two", "three")},
+        "not_told": _not_told(hiding),
+        "certain": {
+            name: Proportion.of(certain.true[certain.kind.isin(kinds)])
+            for name, kinds in (
+                ("catalogue", HIDING),
+                ("another_law", ("misspecified",)),
+                ("nothing", ("outside", "clean")),
+            )
+        },
         "limits": {name: _exact_at_limits(one, *bin_ends) for name, bin_ends in LIMIT_BINS.items()},
         "misspecified": {
             **_proportions(misspecified, OTHER_LAW),
@@ -146,6 +167,35 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
 def _exact_at_limits(table: pd.DataFrame, low: float, high: float = float("inf")) -> Proportion:
     """Count what is named of effects that are so many times as large as their detection limits, below `high`."""
     return Proportion.of(table.exact[table.times_limit.astype(float).between(low, high, inclusive="left")])
+
+
+def _not_told(hiding: pd.DataFrame) -> dict[str, Any]:
+    """Count the sessions that are not told as a whole, and what became of them: of each one thing.
+
+    not_exact: of those whose diagnosis did not fail; of_other_vehicle: of the ones of another vehicle than was learned
+        from.
+    falsely_named: a cause is named that is not there.
+    left_out: causes are named, all of them there, but not all that are.
+    nameless: something was said to be wrong, and no cause named.
+    silent: nothing was said to be wrong; silent_below: of these, effects that raise the error by less than 3 %.
+    causes_left_out: how often each cause is one of those that `left_out` lacks.
+    """
+    told = hiding[hiding.verdict != "failed"]
+    missed = told[~told.exact.astype(bool)]
+    wrong, is_silent = missed.falsely_named.astype(bool), ~missed.found.astype(bool)
+    nameless = ~wrong & ~is_silent & missed.not_named
+    left_out = missed[~wrong & ~is_silent & ~nameless]
+    lacking = Counter(name for names in left_out.not_told for name in names.split("+"))
+    return {
+        "not_exact": Proportion.of(~told.exact.astype(bool)),
+        "of_other_vehicle": Proportion.of(~told.exact[~told.same_vehicle.astype(bool)].astype(bool)),
+        "falsely_named": Proportion.of(wrong),
+        "left_out": Proportion.of(missed.index.isin(left_out.index)),
+        "nameless": Proportion.of(nameless),
+        "silent": Proportion.of(~wrong & is_silent),
+        "silent_below": Proportion.of(in_rise_bin(missed[~wrong & is_silent], FAINT)),
+        "causes_left_out": dict(lacking.most_common()),
+    }
 
 
 def _mechanism(name: str, one: pd.DataFrame, parameters: pd.DataFrame) -> dict[str, Any]:

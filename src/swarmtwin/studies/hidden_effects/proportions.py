@@ -13,7 +13,7 @@ from swarmtwin.world.rollout import Rate
 RISE_BINS = {"below 3 %": (-float("inf"), 3.0), "3 to 10 %": (3.0, 10.0), "10 % or more": (10.0, float("inf"))}
 """By how much an effect raises the one-step error, in percent: from the first figure to below the second."""
 
-MIDDLE, CLEAR = "3 to 10 %", "10 % or more"
+FAINT, MIDDLE, CLEAR = RISE_BINS
 
 
 class Proportion(StrictModel):

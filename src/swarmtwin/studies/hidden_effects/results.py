@@ -142,6 +142,7 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         listed: every true cause is named, or a rival of one that is.
         times_limit: see `Result`.
         exact: the causes named are the true ones, all of them and no other.
+        not_told: the true causes that are not named.
         falsely_named: a cause is named that is not there.
         likeliest: the causes that are the likeliest together; likeliest_true: they are the true ones and no others.
         fitting_first, fitting_exact, rule_first, rule_exact: likewise of the other methods.
@@ -172,6 +173,7 @@ def _row(result: Result) -> dict[str, Any]:
         "named_first": bool(set(named[:1]) & set(true)),
         "listed": bool(true) and set(true) <= {*named, *rivals},
         "exact": result.verdict is not None and sorted(named) == sorted(true),
+        "not_told": "+".join(name for name in true if name not in named),
         "falsely_named": bool(set(named) - set(true)),
         "likeliest": "+".join(result.likeliest),
         "likeliest_true": bool(true) and sorted(_counted(result, result.likeliest)) == sorted(true),
@@ -305,17 +307,21 @@ def _size(name: str, true: Mapping[str, float]) -> float:
 
 
 def confidences_table(results: Sequence[Result]) -> pd.DataFrame:
-    """Return one row a cause that was named: `family`, the `confidence` it was named with, and whether it is `true`."""
+    """Return one row a cause that was named: how sure the diagnosis was of it, `confidence`, and whether it is `true`.
+
+    `family` and `kind` are of its session.
+    """
     rows = [
         {
             "family": result.case.family,
+            "kind": result.case.kind,
             "confidence": cause.confidence,
             "true": cause.name in (*result.case.true_names, *_of_the_unit(result)),
         }
         for result in results
         for cause in result.causes
     ]
-    return pd.DataFrame(rows, columns=["family", "confidence", "true"])
+    return pd.DataFrame(rows, columns=["family", "kind", "confidence", "true"])
 
 
 def filled(result: Result | None, other: Result) -> Result:

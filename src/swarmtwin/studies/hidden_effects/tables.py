@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAWS
-from swarmtwin.studies.hidden_effects.proportions import CLEAR, MIDDLE, RISE_BINS, Proportion
+from swarmtwin.studies.hidden_effects.proportions import CLEAR, FAINT, MIDDLE, RISE_BINS, Proportion
 from swarmtwin.studies.study_table import StudyTable
 
 Families = dict[str, dict[str, Any]]
@@ -17,6 +17,7 @@ def study_tables(summary: dict[str, Any]) -> list[StudyTable]:
 
 def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
     yield _marks_table(summary)
+    yield _not_told_table(summary["families"])
     for family, own in summary["families"].items():
         yield _mechanisms_table(family, own)
     yield StudyTable(
@@ -162,6 +163,13 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
             lambda own: _percent(own["median_parameter_error_percent"], 1.0),
         ),
         ("confidence: expected calibration error", "≤ 0.03", lambda own: _number(own["calibration_error"])),
+        ("named with more than 99 %: causes that are there", "", lambda own: _counted(own["certain"]["catalogue"])),
+        (
+            "  where one acts by another law",
+            "",
+            lambda own: _counted(own["certain"]["another_law"]),
+        ),
+        ("  where nothing of the catalogue is there", "", lambda own: _counted(own["certain"]["nothing"])),
         ("gain, of what the true model gains: median", "≥ 97 %", lambda own: _percent(own["gain"]["diagnosis"])),
         ("  of all down to the exact mean", "", lambda own: _percent(own["gain"]["diagnosis_to_floor"])),
         (
@@ -179,6 +187,29 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         f"{summary['cases']:,} hidden and clean sessions",
         ("", *families, "mark"),
         [row for row in told if set(row[1:-1]) != {"–"}],
+    )
+
+
+def _not_told_table(families: Families) -> StudyTable:
+    """Return what became of the sessions with one, two or three causes that are not told as a whole."""
+    became = ("falsely_named", "left_out", "nameless", "silent", "silent_below")
+    return StudyTable(
+        "One to three causes, not told as a whole",
+        (
+            *("", "sessions", "of another vehicle", "a cause named that is not there", "causes left out"),
+            *("alarm without a name", "nothing said", f"of these, error up {FAINT}", "causes left out, how often"),
+        ),
+        [
+            [
+                family,
+                *(_few(lost[kind]) for kind in ("not_exact", "of_other_vehicle")),
+                *(str(lost[kind].count) for kind in became),
+                ", ".join(f"{name} {count}" for name, count in lost["causes_left_out"].items()) or "–",
+            ]
+            for family, own in families.items()
+            if (lost := own["not_told"])["not_exact"].count
+        ],
+        left=(8,),
     )
 
 
