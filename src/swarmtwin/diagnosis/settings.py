@@ -1,8 +1,8 @@
 """What can be set of a diagnosis: thresholds, each with its default and what it decides.
 
 The defaults stand in `conf/diagnosis/default.yaml` as well; a test compares both. They were chosen on stand-ins, in
-sessions other than those that the hidden-effects study reports on, but for `least_nats_a_transition` and
-`least_tails_change_a_loss`, which sessions on its page of 2026-11-28 led to.
+sessions other than the 496 that docs/results.md reports on; its unruly ones were judged before
+`least_nats_a_transition` and `least_tails_change_a_loss` were set.
 """
 
 from typing import Annotated
