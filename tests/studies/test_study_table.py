@@ -56,6 +56,15 @@ def test_the_terminal_takes_no_cell_for_markup(table):
     assert "crnet *" in shown
 
 
+def test_long_names_leave_room_for_the_other_columns_in_a_narrow_terminal():
+    name = "two causes that hide together: both named, and nothing else beside them"
+    shown = StudyTable("", ("", "one family", "another one"), [[name, "19/24 (59.5–90.8 %)", "17/24 (50.8–85.1 %)"]])
+    console = Console(file=io.StringIO(), width=80)
+    console.print(shown.drawn())
+    assert "…" not in console.file.getvalue()
+    assert "19/24 (59.5–90.8 %)  17/24 (50.8–85.1 %)" in console.file.getvalue()
+
+
 def test_what_a_pipeline_left_damaged_or_not_at_all_is_refused(robots, tmp_path):
     asked = {"name": "tables", "robot": robots["mgr"], "artifacts": tmp_path, "output": tmp_path / "out"}
     options = Options(**asked, overwrite=False)

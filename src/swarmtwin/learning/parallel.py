@@ -5,6 +5,7 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import AuthenticationError
@@ -60,7 +61,9 @@ def run_side_by_side(jobs: Sequence[Job[Result]], report: Report | None, process
         calls = [delayed(_work)(job, listening.door if report else None) for job in jobs]
         pool = Parallel(at_a_time, "loky", batch_size=1, max_nbytes=None, initializer=_begin, initargs=started_in)
         try:
-            with _forked_from_one(jobs):
+            with _forked_from_one(jobs), warnings.catch_warnings():
+                # joblib replaces a process that grew large, between two jobs
+                warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
                 return list(pool(calls))
         except BrokenProcessPool:
             raise UserError(

@@ -9,6 +9,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+WIDE = 40
+"""A longer name than of so many characters may be broken in the terminal, to make room for the other columns."""
+
 
 @dataclass(frozen=True)
 class StudyTable:
@@ -37,7 +40,8 @@ class StudyTable:
         table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, title=self.title, title_justify="left")
         for number, heading in enumerate(self.headings):
             words = number == 0 or number in self.left
-            table.add_column(heading, justify="left" if words else "right", no_wrap=not number)
+            unbroken = number == 0 and max((len(row[0]) for row in self._starred), default=0) <= WIDE
+            table.add_column(heading, justify="left" if words else "right", no_wrap=unbroken, overflow="fold")
         for number, row in enumerate(self._starred):
             style = "dim" if number < self.floors else "bold" if number in self.marked else None
             table.add_row(*map(Text, row), style=style)

@@ -68,39 +68,30 @@ def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
         ],
     )
     for title, families in (
-        ("Beside other methods, on the same sessions", summary["methods"]),
-        ("With the true model in hand, on the same sessions", summary["true_model"]),
+        ("beside other methods, on the same sessions", summary["methods"]),
+        ("with the true model in hand, on the same sessions", summary["true_model"]),
     ):
-        yield _comparison_table(title, families)
+        for family, methods in families.items():
+            yield _comparison_table(f"{family}: {title}", methods)
 
 
-def _comparison_table(title: str, families: Families) -> StudyTable:
-    """Return what methods make of the same sessions, those of each family by themselves."""
-    return StudyTable(
-        title,
-        (
-            "family: method",
-            "sessions",
-            *(f"one, {name}: exact" for name in RISE_BINS),
-            f"one, {CLEAR}: named first",
-            *("two: exact", "three: exact", "outside: no name", "clean accused", "parameters: median error"),
-            *("error cut, 10 % or more: median", "seconds: median, most", "failed"),
-        ),
-        [
-            [
-                f"{family}: {method}",
-                str(own["cases"]),
-                *(_few(share) for share in own["one"].values()),
-                *(_few(own[kind]) for kind in ("first", "two", "three", "outside", "accused")),
-                _percent(own["median_parameter_error_percent"], 1.0),
-                _percent(own["error_cut"]),
-                _both(own["seconds"], ".1f"),
-                _few(own["failed"]),
-            ]
-            for family, methods in families.items()
-            for method, own in methods.items()
-        ],
-    )
+def _comparison_table(title: str, methods: dict[str, dict[str, Any]]) -> StudyTable:
+    """Return what methods make of the same sessions of a family, each in a column."""
+    rows: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
+        ("sessions", lambda own: str(own["cases"])),
+        *((f"one, {name}: exact", lambda own, name=name: _few(own["one"][name])) for name in RISE_BINS),
+        (f"one, {CLEAR}: named first", lambda own: _few(own["first"])),
+        ("two: exact", lambda own: _few(own["two"])),
+        ("three: exact", lambda own: _few(own["three"])),
+        ("in no catalogue: no name", lambda own: _few(own["outside"])),
+        ("nothing wrong: a cause named", lambda own: _few(own["accused"])),
+        ("parameters: median error", lambda own: _percent(own["median_parameter_error_percent"], 1.0)),
+        ("error cut, 10 % or more: median", lambda own: _percent(own["error_cut"])),
+        ("seconds: median, most", lambda own: _both(own["seconds"], ".1f")),
+        ("failed", lambda own: _few(own["failed"])),
+    ]
+    told = [[name, *map(tell, methods.values())] for name, tell in rows]
+    return StudyTable(title, ("", *methods), [row for row in told if not {"–", "–, –"}.issuperset(row[1:])])
 
 
 def _marks_table(summary: dict[str, Any]) -> StudyTable:
@@ -164,11 +155,7 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
         ),
         ("confidence: expected calibration error", "≤ 0.03", lambda own: _number(own["calibration_error"])),
         ("named with more than 99 %: causes that are there", "", lambda own: _counted(own["certain"]["catalogue"])),
-        (
-            "  where one acts by another law",
-            "",
-            lambda own: _counted(own["certain"]["another_law"]),
-        ),
+        ("  where one acts by another law", "", lambda own: _counted(own["certain"]["another_law"])),
         ("  where nothing of the catalogue is there", "", lambda own: _counted(own["certain"]["nothing"])),
         ("gain, of what the true model gains: median", "≥ 97 %", lambda own: _percent(own["gain"]["diagnosis"])),
         ("  of all down to the exact mean", "", lambda own: _percent(own["gain"]["diagnosis_to_floor"])),
@@ -192,25 +179,22 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
 
 def _not_told_table(families: Families) -> StudyTable:
     """Return what became of the sessions with one, two or three causes that are not told as a whole."""
-    became = ("falsely_named", "left_out", "nameless", "silent", "silent_below")
-    return StudyTable(
-        "One to three causes, not told as a whole",
+    rows: list[tuple[str, Callable[[dict[str, Any]], str]]] = [
+        ("sessions", lambda lost: _few(lost["not_exact"])),
+        ("  of another vehicle", lambda lost: _few(lost["of_other_vehicle"])),
+        ("a cause named that is not there", lambda lost: _few(lost["falsely_named"])),
+        ("all causes named are there, but others left out", lambda lost: _few(lost["left_out"])),
+        ("alarm without a name", lambda lost: _few(lost["nameless"])),
+        ("nothing said", lambda lost: _few(lost["silent"])),
+        (f"  of these, error up {FAINT}", lambda lost: _few(lost["silent_below"])),
         (
-            *("", "sessions", "of another vehicle", "a cause named that is not there", "causes left out"),
-            *("alarm without a name", "nothing said", f"of these, error up {FAINT}", "causes left out, how often"),
+            "causes left out",
+            lambda lost: ", ".join(f"{count} {name}" for name, count in lost["causes_left_out"].items()) or "–",
         ),
-        [
-            [
-                family,
-                *(_few(lost[kind]) for kind in ("not_exact", "of_other_vehicle")),
-                *(str(lost[kind].count) for kind in became),
-                ", ".join(f"{name} {count}" for name, count in lost["causes_left_out"].items()) or "–",
-            ]
-            for family, own in families.items()
-            if (lost := own["not_told"])["not_exact"].count
-        ],
-        left=(8,),
-    )
+    ]
+    known = {family: own["not_told"] for family, own in families.items() if own["not_told"]["not_exact"].count}
+    told = [[name, *map(tell, known.values())] for name, tell in rows if known]
+    return StudyTable("One to three causes, not told as a whole", ("", *known), told)
 
 
 def _mechanisms_table(family: str, own: dict[str, Any]) -> StudyTable:
