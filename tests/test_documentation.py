@@ -184,6 +184,7 @@ def counted_of_the_diagnosis(what="families"):
 def test_the_table_of_the_diagnosis_is_what_the_study_counted():
     rows = {
         "one effect that raises the error by 10 % or more: named, and nothing else": ("one", "10 % or more", "exact"),
+        "the same: an alarm": ("one", "10 % or more", "found"),
         "one, 3 to 10 %": ("one", "3 to 10 %", "exact"),
         "one, below 3 %": ("one", "below 3 %", "exact"),
         "one, once to twice as large as its detection limit": ("limits", "once to twice"),
@@ -192,6 +193,10 @@ def test_the_table_of_the_diagnosis_is_what_the_study_counted():
         "three: all, and nothing else": ("three", "exact"),
         "one that acts by another law: named, and nothing else": ("misspecified", "exact"),
         "the same: it alone is the likeliest": ("misspecified", "likeliest_true"),
+        "one that acts by another law, error up by 10 % or more: named, and nothing else": (
+            "misspecified",
+            "exact_of_clear",
+        ),
         "in no catalogue: a name given all the same": ("outside", "not_named"),
         "in no catalogue, error up by 10 % or more: alarm": ("outside", "costly_found"),
         "nothing wrong: an alarm": ("clean", "alarmed"),
