@@ -68,8 +68,8 @@ def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
         ],
     )
     for title, families in (
-        ("beside other methods, on the same sessions", summary["methods"]),
-        ("with the true model in hand, on the same sessions", summary["true_model"]),
+        ("beside other methods", summary["methods"]),
+        ("with the true model in hand", summary["true_model"]),
     ):
         for family, methods in families.items():
             yield _comparison_table(f"{family}: {title}", methods)
@@ -91,7 +91,8 @@ def _comparison_table(title: str, methods: dict[str, dict[str, Any]]) -> StudyTa
         ("failed", lambda own: _few(own["failed"])),
     ]
     told = [[name, *map(tell, methods.values())] for name, tell in rows]
-    return StudyTable(title, ("", *methods), [row for row in told if not {"–", "–, –"}.issuperset(row[1:])])
+    known = [row for row in told if not {"–", "–, –"}.issuperset(row[1:])]
+    return StudyTable(title, ("", *methods), known, caption="all on the same sessions")
 
 
 def _marks_table(summary: dict[str, Any]) -> StudyTable:
