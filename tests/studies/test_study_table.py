@@ -56,6 +56,12 @@ def test_the_terminal_takes_no_cell_for_markup(table):
     assert "crnet *" in shown
 
 
+def test_what_is_part_of_the_row_above_stands_farther_to_the_right():
+    shown = StudyTable("", ("", "sessions"), [["all", "9"], ["  of these, < 3 %", "4"]])
+    assert shown.markdown().splitlines()[2:] == ["| all | 9 |", "| &emsp;of these, < 3 % | 4 |"]
+    assert "<tr><td>&emsp;of these, &lt; 3 %</td><td>4</td></tr>" in shown.html()
+
+
 def test_long_names_leave_room_for_the_other_columns_in_a_narrow_terminal():
     name = "two causes that hide together: both named, and nothing else beside them"
     shown = StudyTable("", ("", "one family", "another one"), [[name, "19/24 (59.5–90.8 %)", "17/24 (50.8–85.1 %)"]])

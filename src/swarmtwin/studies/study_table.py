@@ -52,7 +52,9 @@ class StudyTable:
         """Return it for a text file."""
         rulers = ["---" if column == 0 or column in self.left else "---:" for column in range(len(self.headings))]
         lines = [f"| {' | '.join(_unbroken(self.headings))} |", f"| {' | '.join(rulers)} |"]
-        lines += [f"| {' | '.join(map(str.rstrip, row))} |" for row in self._starred]
+        lines += [
+            f"| {' | '.join(map(str.rstrip, (''.join(_indented(name)), *cells)))} |" for name, *cells in self._starred
+        ]
         cells = "\n".join(re.sub(r" *\n", "<br>", line) for line in lines)
         heading = f"## {self.title}\n\n" if self.title else ""
         return heading + cells + "\n" + (f"\n{self._sentence}\n" if self.caption else "")
@@ -85,6 +87,14 @@ def _unbroken(headings: Sequence[str]) -> list[str]:
     return [heading.replace("-\n", "").strip() for heading in headings]
 
 
+def _indented(name: str) -> tuple[str, str]:
+    """Return what sets a row's name as far to the right on a page as its spaces do in the terminal, and the name."""
+    shown = name.lstrip(" ")
+    return "&emsp;" * ((len(name) - len(shown)) // 2), shown
+
+
 def _html_row(tag: str, cells: Sequence[str], kind: str = "") -> Markup:
-    shown = (Markup("<{0}>{1}</{0}>").format(Markup(tag), escape(cell).replace("\n", Markup("<br>"))) for cell in cells)
+    space, name = _indented(cells[0])
+    told = [Markup(space) + escape(name), *map(escape, cells[1:])]
+    shown = (Markup("<{0}>{1}</{0}>").format(Markup(tag), cell.replace("\n", Markup("<br>"))) for cell in told)
     return Markup("<tr{}>{}</tr>").format(Markup(' class="{}"').format(kind) if kind else "", Markup("").join(shown))
