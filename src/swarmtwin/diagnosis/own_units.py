@@ -32,9 +32,8 @@ def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> t
         way, turn = (_factor(effects, sizes, directions[own, axis], motion[own, axis]) for axis in (0, 2))
         sides, actuation = None, model.robot.actuation
         if actuation.kind == "wheel" and not actuation.steering and (track_mm := model.session.conditions.track_mm):
-            sides = _factor(
-                effects, sizes, directions[own, 2], -motion[own, 0] / track_mm
-            )  # a faster left one, rightwards
+            turned = -motion[own, 0] / track_mm  # a left wheel that is faster turns it to the right
+            sides = _factor(effects, sizes, directions[own, 2], turned)
         told.append(UnitDifference(vehicle=vehicle, way=way, turn=turn, left_to_right=sides, usual=model.unit_spread))
     return tuple(told)
 
