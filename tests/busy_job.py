@@ -12,3 +12,12 @@ class BusyJob(NamedTuple):
         report(self.number)
         while True:
             pass
+
+
+class BriefJob(NamedTuple):
+    """A job that reports once and ends."""
+
+    number: int
+
+    def run(self, report):
+        report(self.number)

@@ -6,11 +6,12 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import pytest
 
-from busy_job import BusyJob
+from busy_job import BriefJob, BusyJob
 from swarmtwin.errors import UserError
 from swarmtwin.learning.parallel import run_side_by_side
 
@@ -73,3 +74,10 @@ def test_a_process_that_was_killed_is_told_of():
 
     with pytest.raises(UserError, match=r"^a process that worked for this command was killed, as when memory"):
         run_side_by_side([BusyJob(3), BusyJob(4)], kill_all, 2)
+
+
+def test_nothing_is_said_of_a_process_that_joblib_replaces(recwarn):
+    """It warns of that in a thread of its own, as here the reports are heard in one."""
+    told = "A worker stopped while some jobs were given to the executor. This can be caused by a memory leak."
+    run_side_by_side([BriefJob(0), BriefJob(1)], lambda number: warnings.warn(told, UserWarning, stacklevel=1), 2)
+    assert not [one for one in recwarn if told in str(one.message)]
