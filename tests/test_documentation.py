@@ -23,6 +23,11 @@ from swarmtwin.commands.app import _spelled_out
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.configuration import config_files, config_folder, let_hydra_find_plugins
 from swarmtwin.robot import Robot
+from swarmtwin.standin.physics import fabricate
+from swarmtwin.standin.rigid_body.car import Car
+from swarmtwin.standin.robots.mgr import MgrUnit
+from swarmtwin.studies.hidden_effects.results import Result
+from swarmtwin.studies.hidden_effects.sessions import measured_session, reference_session
 from swarmtwin.world.rollout import Rate
 from test_outside import WAY
 from tiny_policies import robot_named, simulation
@@ -258,6 +263,26 @@ def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
     pairs = [own["two"]["exact"] for own in families]
     said = f"of two effects at once {sum(one['count'] for one in pairs)} of {sum(one['total'] for one in pairs)}"
     assert said in README.read_text()
+
+
+def test_clean_sessions_that_were_given_a_cause_are_of_a_vehicle_whose_dead_band_is_larger():
+    """As the README says; the rigid body's bearings rub more."""
+    judged = [DOCS / "results" / "judged" / f"{name}.jsonl" for name in ("hidden_effects", "clean_sessions")]
+    lines = [line for file in judged for line in file.read_text().splitlines() if line.strip()]
+    results = [Result.model_validate_json(line) for line in lines]
+    accused = [one for one in results if one.case.kind == "clean" and one.causes]
+    assert [cause.name for one in accused for cause in one.causes] == ["dead_band"] * 2
+    for case in (one.case for one in accused):
+        robot = Robot.load(REPOSITORY / "conf" / "robot" / f"{case.robot}.yaml")
+        sessions = reference_session(case, robot), measured_session(case, robot).session
+        learned, measured = (session.vehicles for session in sessions)
+        if case.family == "formulas":
+            bands = [MgrUnit.of(vehicles).dead_band_pwm for vehicles in (learned, measured)]
+        else:
+            factors = [fabricate("mgr/rigid_body", vehicles, Car.spreads) for vehicles in (learned, measured)]
+            bands = [np.array([one["left_friction"], one["right_friction"]]) for one in factors]
+        assert learned != measured
+        assert (bands[1] > bands[0]).all()
 
 
 @pytest.mark.parametrize(
