@@ -94,7 +94,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(robots, robot, name, form
     Nor is any parameter estimated too high or too low by more than 0.3 standard errors, as far as these sessions show,
     and the truths' ranks in what is said of them are spread evenly, which Kolmogorov and Smirnov's test refutes below
     0.001 (simulation-based calibration: Talts et al., 2018); those of `WIDER_THAN_NEEDED` may lie too near the middle,
-    and no farther from it. What a form holds at one value has no ranks.
+    and no farther from it. What these sessions say nothing of stays where a search begins, but for rounding, where the
+    truth is as well, and has no ranks.
     """
     kind = mechanism_class(name).forms(robots[robot])[form]
     by_session = [standing(kind, robots[robot], seed) for seed in range(SESSIONS)]
@@ -110,7 +111,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(robots, robot, name, form
         told = f"{held} of {SESSIONS}, bias {bias:+.2f} standard errors, ranks even with p = {even:.3f}"
         print(f"{robot} {name} {form} {parameter}: {told}")
         assert held >= stats.binom.ppf(0.001, SESSIONS, 0.95), (parameter, held, places.round(2))
-        assert even > 0.001 or not places.any(), (parameter, even, places.round(2))
+        assert even > 0.001 or np.allclose(places, 0, atol=1e-9), (parameter, even, places.round(2))
         assert abs(bias) <= 0.3 + stats.norm.ppf(0.9995) / SESSIONS**0.5, (parameter, bias)
 
 
