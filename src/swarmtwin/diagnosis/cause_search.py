@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -135,6 +136,7 @@ class CauseSearch:
         kinds: the mechanisms offered, by name.
         progress: called with what is being tried.
         reference: what its own errors show: commands that seem to be lost there as well; None: nothing.
+        screened: of some of the session's runs, in which mechanisms are screened and sets first fitted; None: of all.
     """
 
     def __init__(
@@ -143,7 +145,12 @@ class CauseSearch:
         kinds: Mapping[str, MechanismClass],
         progress: Progress | None = None,
         reference: ReferenceErrors | None = None,
+        screened: SessionLikelihood | None = None,
     ) -> None:
+        self._rough, self._enough = self, 0.05
+        if screened is not None and screened is not model:
+            self._rough = CauseSearch(screened, kinds, None, reference)
+            self._rough._enough = 0.5  # an eighth of a nat
         self._reference = reference or ReferenceErrors()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = model.shown_of(kinds)
@@ -155,23 +162,54 @@ class CauseSearch:
         nothing = self._fit(())
         frontier, best = [nothing], self.score(nothing)
         for count in range(1, self.settings.most_causes + 2):  # one more shows where these do not suffice
-            proposed: list[Candidate] = []
-            for number, one in enumerate(frontier):
-                self._tell(f"{count} causes", number, len(frontier))
-                found = candidates(self.model, one.fitted, self.kinds)
-                proposed += best_by_name(found, self.settings.fitted_a_set)
-                if count == 1:
-                    proposed += pairs(self.model, one.fitted, found)[: self.settings.fitted_pairs]
-            for candidate in proposed:
-                if candidate.nats > self.settings.least_promise:
-                    self._fit(candidate.start)
-            sized = sorted((one for one in self.fitted.values() if len(one.names) == count), key=self.score)
-            frontier = sorted(map(self._polished, sized[::-1][: self.settings.kept_sets]), key=self.score, reverse=True)
+            for start in self._starts(frontier, count):
+                self._fit(start)
+            kept = self._of_size(count)[: self.settings.kept_sets]
+            frontier = sorted(map(self._polished, kept), key=self.score, reverse=True)
             if not frontier or self.score(frontier[0]) < best:
                 break
             best = self.score(frontier[0])
         self._drop_one()
+        self._fit_parts_of_best()
         return self._posterior(nothing)
+
+    def _starts(self, frontier: Sequence[EstimatedSet], count: int) -> list[tuple[Mechanism, ...]]:
+        """Return where fits of sets of `count` causes begin, and of pairs at first: as far as they promise anything."""
+        screened, promise = self._rough.model, self.settings.least_promise
+        promise *= len(screened.session) / len(self.model.session)
+        proposed: list[Candidate] = []
+        for number, one in enumerate(frontier):
+            self._tell(f"{count} causes", number, len(frontier))
+            beside = one.fitted if self._rough is self else screened.evaluate(one.mechanisms)
+            found = candidates(screened, beside, self.kinds)
+            proposed += best_by_name(found, self.settings.fitted_a_set)
+            if count == 1:
+                proposed += pairs(screened, beside, found)[: self.settings.fitted_pairs]
+        starts = [candidate.start for candidate in proposed if candidate.nats > promise]
+        return starts if self._rough is self else self._rough.likely_starts(starts)
+
+    def likely_starts(self, starts: Sequence[tuple[Mechanism, ...]]) -> list[tuple[Mechanism, ...]]:
+        """Return sets with the values that are likeliest here, of those that are not far behind.
+
+        That is, behind the best of their size; of a size of which all are far behind the best smaller set, none.
+        """
+        keys = {frozenset(type(one) for one in start): len(start) for start in starts}
+        for start in starts:
+            self._fit(start)
+        likely = []
+        for size in sorted(set(keys.values())):
+            ordered, smaller = self._of_size(size), [one for one in self.fitted.values() if len(one.names) < size]
+            behind = self.score(ordered[0]) - self.settings.most_behind
+            if self.score(ordered[0]) >= max(map(self.score, smaller), default=-math.inf) - self.settings.most_behind:
+                near = [one for one in ordered if self.score(one) >= behind]
+                near += [one for one in ordered[: self.settings.kept_sets] if one not in near]
+                likely += [one.mechanisms for one in near if frozenset(one.fitted.kinds) in keys]
+        return likely
+
+    def _of_size(self, count: int) -> list[EstimatedSet]:
+        """Return the sets of so many causes that were fitted, the most probable first."""
+        sized = [one for one in self.fitted.values() if len(one.names) == count]
+        return sorted(sized, key=self.score)[::-1]
 
     def score(self, one: EstimatedSet) -> float:
         """Return the log of evidence times prior, all forms of a cause equally probable beforehand."""
@@ -230,7 +268,7 @@ class CauseSearch:
         key = frozenset(type(one) for one in start)
         known = self.fitted.get(key)
         if known is None or (start and self.model.evaluate(start).total > known.fitted.total + 0.5):
-            found = estimate(self.model, start)
+            found = estimate(self.model, start, enough=self._enough)
             if known is None or self.score(found) > self.score(known):
                 self.fitted[key] = found
         return self.fitted[key]
@@ -259,6 +297,14 @@ class CauseSearch:
                     self.fitted[key] = again
             if max(self.fitted.values(), key=self.score) is best:
                 return
+
+    def _fit_parts_of_best(self) -> None:
+        """Fit what was not fitted of the best set's parts: they are asked about when it is told."""
+        causes = max(self.fitted.values(), key=self.score).mechanisms
+        for size in range(1, len(causes)):
+            for part in combinations(causes, size):
+                if frozenset(type(one) for one in part) not in self.fitted:
+                    self._fit(part)
 
     def _posterior(self, nothing: EstimatedSet) -> CausePosterior:
         ordered = sorted(self.fitted.values(), key=self.score, reverse=True)

@@ -57,30 +57,38 @@ def detection_limits(
     """
     model, best = explained.model, explained.best
     kinds = model.shown_of(kinds or offered(model.robot, model.session.conditions))
-    beside_all = _Limits(explained, best.mechanisms, unfitted)
-    rivals = candidates(model, best.fitted, kinds)
+    sketch = model.thinned(model.settings.search.most_screened)
+    beside_all = _Limits(explained, best.mechanisms, unfitted, sketch)
+    rivals = candidates(sketch, sketch.evaluate(best.mechanisms), kinds)
     found = beside_all.of_moving(rivals, rivals)
     for name in best.names:
         others = [one for one in best.mechanisms if one.name != name]
-        own = candidates(model, model.evaluate(others), {name: kinds[name]})
-        found += _Limits(explained, others, unfitted).of_moving(own, rivals)
+        own = candidates(sketch, sketch.evaluate(others), {name: kinds[name]})
+        found += _Limits(explained, others, unfitted, sketch).of_moving(own, rivals)
     found += [FoundLimit(beside_all.of_loss(kind)) for kind in kinds.values() if loses_commands([kind])]
     found += [FoundLimit(noise_limit(explained, beside_all.power))] if "noise_change" in kinds else []
     return tuple(sorted(found, key=lambda one: one.limit.cause))
 
 
 class _Limits:
-    """Looks for limits beside mechanisms that are there already."""
+    """Looks for limits beside mechanisms that are there already.
+
+    Where a cause shows best, and what it may be taken for, some of the session's runs tell (`sketch`); how much of it
+    there must be, all of them.
+    """
 
     def __init__(
         self,
         explained: Explanation,
         beside: Sequence[Mechanism],
         unfitted: SessionLikelihood | None,
+        sketch: SessionLikelihood,
         power: float = 0.9,
     ) -> None:
         self.model, self.power = explained.model, float(stats.norm.ppf(power))
         self.around = Surroundings(self.model, beside)
+        self.sketched = self.around if sketch is self.model else Surroundings(sketch, beside)
+        self._as_long = len(self.model.session) / len(sketch.session)
         settings = self.model.settings.search
         searched = len(explained.posterior.nothing.fitted.residual)
         self.share_searched = searched / len(self.model.session)
@@ -105,7 +113,7 @@ class _Limits:
                 share = size / cause.parameter.size
                 if one.name not in clearest or share < clearest[one.name][0] / clearest[one.name][1].parameter.size:
                     clearest[one.name] = size, cause
-        known = Rivals(self.around, rivals)
+        known = Rivals(self.sketched, rivals)
         return [self._limit(name, cause, size, known) for name, (size, cause) in clearest.items()]
 
     def _needed(self, kind: MechanismClass) -> float:
@@ -123,7 +131,7 @@ class _Limits:
     def _proportional_size(self, one: Candidate) -> float:
         """Return the size from which on a cause would be seen if its effect grew in proportion."""
         first = one.columns[:, :1]
-        length = math.sqrt(max(float(self.around.gram(first)[0, 0]), 1e-12))
+        length = math.sqrt(max(self._as_long * float(self.sketched.gram(first)[0, 0]), 1e-12))
         needed = self._needed(one.form) + self.too_little
         return (math.sqrt(2 * needed) + self.power) * abs(next(iter(one.off.values()))) / length
 
@@ -153,11 +161,12 @@ class _Limits:
         whole = math.sqrt(self.share_searched)
         needed = self._needed(type(mechanism)) + price + self.too_little * self._share_of_evidence(change, length)
         seen = (math.sqrt(2 * needed) + self.power) / (whole * length)
-        rival, apart = self._nearest(change, mechanism.name, rivals)
+        rival, apart = self._nearest(mechanism, change, rivals)
         told = 2 * self.power / (whole * apart)
         confirmed = 0.0
         if self.unfitted:
-            moved = self.unfitted.errors([*self.around.arriving, mechanism]) - self._without
+            beside = self.around.arriving
+            moved = self.unfitted.errors_near([*beside, mechanism], beside) - self._without
             confirmed = confirmed_from(self._error, moved, self.unfitted.session.run)
         return max(seen, told, confirmed), rival if told > max(seen, confirmed) else None
 
@@ -168,15 +177,16 @@ class _Limits:
         return min(length**2 / max(float(np.repeat(self.model.weight, 3) @ change**2), 1e-12), 1.0)
 
     def _nearest(
-        self, change: np.ndarray, name: str, rivals: Rivals, alike: float = 0.7, tried: int = 2
+        self, mechanism: Mechanism, change: np.ndarray, rivals: Rivals, alike: float = 0.7, tried: int = 2
     ) -> tuple[Mechanism | None, float]:
-        """Return the cause that comes nearest to a change (3 N,), of those that take over most of it, and how near."""
+        """Return the cause that comes nearest to what a mechanism changes (3 N,), of the likest, and how near."""
         nearest, least = None, math.inf
-        for rival in rivals.alike(change, name, alike)[:tried]:
-            mechanism = self.around.imitation(change, rival)
-            apart = self.around.apart(change, mechanism) if mechanism else math.inf
+        sketched = change if self.sketched is self.around else self.sketched.change(mechanism)
+        for rival in rivals.alike(sketched, mechanism.name, alike)[:tried]:
+            imitation = self.sketched.imitation(sketched, rival)
+            apart = self.around.apart(change, imitation) if imitation else math.inf
             if apart < least:
-                nearest, least = mechanism, apart
+                nearest, least = imitation, apart
         return nearest, least
 
 

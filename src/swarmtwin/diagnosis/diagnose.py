@@ -124,10 +124,9 @@ def find_causes(
     reference: Reference, model: SessionLikelihood, own: ReferenceErrors, progress: Progress | None
 ) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
-    session = model.session
-    most = reference.settings.search.most_transitions
-    part = model if len(session) <= most else reference.likelihood_of(session.where(session.spread_over(most)))
-    return CauseSearch(part, sought_kinds(model), progress, own).run()
+    settings = reference.settings.search
+    part = model.thinned(settings.most_transitions)
+    return CauseSearch(part, sought_kinds(model), progress, own, part.thinned(settings.most_screened)).run()
 
 
 def errors_of(reference: Reference) -> ReferenceErrors:

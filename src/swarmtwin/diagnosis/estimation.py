@@ -77,7 +77,11 @@ class EstimatedSet:
 
 
 def estimate(
-    model: SessionLikelihood, start: Sequence[Mechanism], polish: bool = False, final: bool = False
+    model: SessionLikelihood,
+    start: Sequence[Mechanism],
+    polish: bool = False,
+    final: bool = False,
+    enough: float = 0.05,
 ) -> EstimatedSet:
     """Return a set of mechanisms with its likeliest values, searched from those that `start` has.
 
@@ -88,6 +92,7 @@ def estimate(
         final: whether to take slopes from the whole simulation, not from one member of what is quick in its place; and
             where the motion changes by jumps, to look at a smooth surface through the likelihood there: by what its
             minimum differs over resampled runs, since slopes say little there, and whether it leads further.
+        enough: standard deviations from which on a step of least squares is the last one.
     """
     kinds = [type(mechanism) for mechanism in start]
     search = _Search(model, kinds, is_exact=final)
@@ -95,7 +100,7 @@ def estimate(
     if loses_commands(kinds):
         values = search.by_likelihood(values)
     elif len(values):
-        values = search.by_least_squares(values)
+        values = search.by_least_squares(values, enough)
         if polish and not all(kind.is_smooth for kind in kinds):
             found = search.estimated(search.polished(values))
             return search.smoothed(found) if final else found
@@ -159,37 +164,49 @@ class _Search:
         """Return whitened errors (3 N,)."""
         return self.model.whitened(self.at(values)).ravel()
 
-    def slopes(self, values: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """Return (3 N, P) how whitened errors change with the parameters."""
-        columns, near = [], self.at(values)
+    def whitened_near(self, values: np.ndarray, near: Sequence[Mechanism]) -> np.ndarray:
+        """Return whitened errors (3 N,), nearly, by what they differ from those with mechanisms `near`."""
+        if self.is_exact:
+            return self.whitened(values)
+        return self.model.whitened_near(self.at(values), near).ravel()
+
+    def slopes(self, values: np.ndarray, here: np.ndarray, near: Sequence[Mechanism] | None = None) -> np.ndarray:
+        """Return (3 N, P) how whitened errors change with the parameters, from those `here`.
+
+        By differences from mechanisms `near`; None: those with these values.
+        """
+        columns, near = [], self.at(values) if near is None else near
         for index, parameter in enumerate(self.parameters):
             moved = values.copy()
             moved[index] = parameter.stepped_from(values[index])
-            there = self.at(moved)
-            changed = self.model.whitened(there) if self.is_exact else self.model.whitened_near(there, near)
-            columns.append((changed.ravel() - here) / (moved[index] - values[index]))
+            columns.append((self.whitened_near(moved, near) - here) / (moved[index] - values[index]))
         return np.stack(columns, axis=-1)
 
-    def by_least_squares(self, values: np.ndarray) -> np.ndarray:
+    def by_least_squares(self, values: np.ndarray, enough: float) -> np.ndarray:
         """Search by Gauss and Newton's method, random effects integrated out."""
-        values = self._descended(values, self.model.effects)
-        return self._descended(values, self.model.effects_with(self.at(values)))
+        values = self._descended(values, self.model.effects, enough)
+        return self._descended(values, self.model.effects_with(self.at(values), not self.is_exact), enough)
 
-    def _descended(self, values: np.ndarray, effects: RandomEffects, enough: float = 0.05) -> np.ndarray:
-        """Return values (P,) after some steps downhill, fewer where one is `enough` standard deviations or less."""
+    def _descended(self, values: np.ndarray, effects: RandomEffects, enough: float) -> np.ndarray:
+        """Return values (P,) after some steps downhill, fewer where one is `enough` standard deviations or less.
+
+        The whole simulation is asked where the descent begins; from there one member says what changes.
+        """
+        near = self.at(values)
+        here = self.whitened(values)
         for _ in range(self.settings.rounds):
-            here = self.whitened(values)
-            gram = effects.gram(np.column_stack([self.slopes(values, here), here]))
+            gram = effects.gram(np.column_stack([self.slopes(values, here, near), here]))
             precision, loss = gram[:-1, :-1] + self.prior_precision, gram[-1, -1]
             moved = self._bounded_step(values, precision, -gram[:-1, -1])
             for _ in range(4):
-                if effects.loss(self.whitened(moved)) <= loss:
+                there = self.whitened_near(moved, near)
+                if effects.loss(there) <= loss:
                     break
                 moved = (moved + values) / 2
             else:
                 return values
             shift = np.abs(moved - values) * np.sqrt(np.diag(precision))
-            values = moved
+            values, here = moved, there
             if shift.max() < enough:
                 break
         return values
@@ -320,7 +337,7 @@ class _Search:
         """Return the set at its likeliest values, with its evidence."""
         mechanisms = self.at(values)
         lossy = loses_commands(self.kinds)
-        effects = self.model.effects if lossy else self.model.effects_with(mechanisms)
+        effects = self.model.effects if lossy else self.model.effects_with(mechanisms, not self.is_exact)
         fitted = self.model.evaluate(mechanisms, effects)
         evidence = fitted.total - effects.log_determinant / 2
         runs = self.model.session.runs
@@ -335,7 +352,8 @@ class _Search:
             wide = np.tile(fitted.scale, len(fitted.residual))
             scaled = slopes / wide[:, None]
             curvature = effects.gram(scaled) + self.prior_precision
-            information = self.model.effects_with_any_form(mechanisms).gram(scaled) + self.prior_precision
+            any_form = self.model.effects_with_any_form(mechanisms, not self.is_exact)
+            information = any_form.gram(scaled) + self.prior_precision
             scores = -(scaled * (effects.weight * fitted.residual.ravel() / wide)[:, None])
             scores = scores.reshape(-1, 3, len(values)).sum(axis=1)
             naive = np.linalg.inv((scaled * effects.weight[:, None]).T @ scaled + self.prior_precision)

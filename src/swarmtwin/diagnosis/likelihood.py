@@ -165,23 +165,14 @@ class SessionLikelihood(SessionErrors):
         """Return likewise (N, 3), nearly, as `errors_near`."""
         return self.filter(self.errors_near(mechanisms, near)[..., None])[..., 0]
 
-    def errors_near(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism]) -> np.ndarray:
-        """Return the errors (N, 3) with mechanisms, nearly: one member says by how much they differ from others `near`.
-
-        Members agree in that but for a small share of the change, and to ask one of them takes a fraction of the time.
-        """
-        if self.members < 2:
-            return self.errors(mechanisms)
-        change = self.one_member.twist(mechanisms) - self.one_member.twist(near)
-        return self.errors_of(self.predictor.twist(near) + change)
-
-    def effects_with(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
+    def effects_with(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> RandomEffects:
         """Return the random effects, and those of the form of mechanisms.
 
         What looks like another value of a parameter is no other form: forms are orthogonal to what parameters change,
-        so that a parameter is the one that fits best (Plumlee, 2017).
+        so that a parameter is the one that fits best (Plumlee, 2017). Where it is to be quick, one member says what
+        mechanisms change.
         """
-        forms = self._forms(mechanisms)
+        forms = self._forms(mechanisms, is_quick)
         if not forms.shape[-1]:
             return self.effects
         slopes = self._error_slopes(mechanisms)
@@ -190,26 +181,26 @@ class SessionLikelihood(SessionErrors):
         share = np.linalg.lstsq((along * weight).T @ along, (along * weight).T @ across, rcond=1e-10)[0]
         return self.effects.extended(across - along @ share)
 
-    def effects_with_any_form(self, mechanisms: Sequence[Mechanism]) -> RandomEffects:
+    def effects_with_any_form(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> RandomEffects:
         """Return the random effects with forms that may look like another value of a parameter: for its interval.
 
         There they are larger: an interval must hold the truth, while a cause must not be taken for another one's form.
         """
-        forms = self.any_forms(mechanisms)
+        forms = self.any_forms(mechanisms, is_quick)
         return self.effects.extended(forms) if forms.shape[-1] else self.effects
 
-    def any_forms(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+    def any_forms(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> np.ndarray:
         """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
         larger = self.settings.estimation.form / self.settings.likelihood.form
-        return self._whitened(self._forms(mechanisms) * larger)
+        return self._whitened(self._forms(mechanisms, is_quick) * larger)
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""
         return self.filter(directions).reshape(3 * len(directions), directions.shape[-1])
 
-    def _forms(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+    def _forms(self, mechanisms: Sequence[Mechanism], is_quick: bool) -> np.ndarray:
         """Return (N, 3, q) what other forms of mechanisms would change."""
-        columns = list(form_effects(self, mechanisms)) if mechanisms else []
+        columns = list(form_effects(self, mechanisms, is_quick)) if mechanisms else []
         return np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
 
     def _error_slopes(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
@@ -311,19 +302,33 @@ class SessionLikelihood(SessionErrors):
     def _scale_penalty(self, scale: np.ndarray) -> float:
         return float(((np.log(scale) / self.settings.noise.set_scale_spread) ** 2).sum()) / 2
 
-    def explained_by(self, mechanisms: Sequence[Mechanism]) -> "SessionLikelihood":
-        """Return it with the noise of what mechanisms leave."""
+    def thinned(self, most: int) -> "SessionLikelihood":
+        """Return that of every second, third, … run, about `most` transitions; itself where there are no more."""
+        if len(self.session) <= most:
+            return self
+        rows = self.session.spread_over(most)
+        other = self._like(self.session.where(rows), self.explained)
+        expected, directions = self.discrepancy
+        other.discrepancy, other.disagreement = (expected[rows], directions[rows]), self.disagreement[rows]
+        return other
+
+    def _like(self, session: MeasuredSession, explained: Sequence[Mechanism]) -> "SessionLikelihood":
         known = [vehicle for vehicle in self.session.transitions.vehicles if vehicle not in self.unknown_vehicles]
-        other = SessionLikelihood(
+        return SessionLikelihood(
             self.predictor.base,
             self.reference_noise,
-            self.session,
+            session,
             tuple(known),
             self.unit_spread,
             self._discrepancy,
             self.settings,
-            mechanisms,
+            explained,
+            self.predictor.quick,
         )
+
+    def explained_by(self, mechanisms: Sequence[Mechanism]) -> "SessionLikelihood":
+        """Return it with the noise of what mechanisms leave."""
+        other = self._like(self.session, mechanisms)
         other.predictor, other.flexible = self.predictor, self.flexible
         other.one_member = self.one_member
         other.discrepancy, other.disagreement = self.discrepancy, self.disagreement

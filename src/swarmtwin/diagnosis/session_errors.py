@@ -84,6 +84,16 @@ class SessionErrors:
         """Return the errors (N, 3) of the simulation with mechanisms, where every command arrives."""
         return self.errors_of(self.predictor.twist(mechanisms))
 
+    def errors_near(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism]) -> np.ndarray:
+        """Return the errors (N, 3) with mechanisms, nearly: one member says by how much they differ from others `near`.
+
+        Members agree in that but for a small share of the change, and to ask one of them takes a fraction of the time.
+        """
+        if self.members < 2:
+            return self.errors(mechanisms)
+        change = self.one_member.twist(mechanisms) - self.one_member.twist(near)
+        return self.errors_of(self.predictor.twist(near) + change)
+
     def changes_of(self, twist: Tensor, center: Tensor | None = None) -> np.ndarray:
         """Return (N, 3) by what errors change with twists (N, 3) instead of others, by default the simulation's."""
         return self._uncorrected(twist) - self._uncorrected(self.simulated if center is None else center)

@@ -191,6 +191,10 @@ class SearchSettings(StrictModel):
         most_causes: that are named in one session. Where more are likelier, none is: any gap can be pieced together
             from enough causes.
         most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
+        most_screened: of these, in which mechanisms are screened and sets first fitted; those that are not far behind
+            are then fitted to all.
+        most_behind: nats by which a set may be less likely there than the best of its size and still be fitted to all:
+            a ratio of 5 × 10⁸ is not made up for by more of the same session. The `kept_sets` always are.
         grid_points: of each mechanism's grid, where it is screened.
         fitted_a_set: mechanisms that are fitted beside each of the sets that are kept.
         fitted_pairs: pairs that are fitted at once.
@@ -208,6 +212,8 @@ class SearchSettings(StrictModel):
     least_share_late: NonNegative = 0.08
     most_causes: Count = 3
     most_transitions: Count = 6000
+    most_screened: Count = 2000
+    most_behind: Positive = 20.0
     grid_points: Count = 32
     fitted_a_set: Count = 4
     fitted_pairs: Count = 4

@@ -100,8 +100,8 @@ class Surroundings:
         model, chosen = self.model, list(added) or self.arriving
         around = self.arriving if added else []
         kinds = [type(one) for one in chosen]
-        values, near = model.values(chosen), [*around, *chosen]
-        here = model.whitened(near) if added else self._here
+        values, near = model.values(chosen), self.arriving
+        here = model.whitened_near([*around, *chosen], near) if added else self._here
         columns, precision = [], []
         for index, (_, _, parameter) in enumerate(model.parameters(kinds)):
             moved = values.copy()
@@ -139,7 +139,8 @@ class Surroundings:
         """Return the distance of a change (3 N,) from a rival that may take other values, and another form."""
         model, around = self.model, [*self.arriving, rival]
         slopes, precision = self.slopes([rival])
-        gram = model.effects_with(around).gram(np.column_stack([change - self.change(rival), slopes, self._slopes]))
+        effects = model.effects_with(around, is_quick=True)
+        gram = effects.gram(np.column_stack([change - self.change(rival), slopes, self._slopes]))
         own = slopes.shape[1]
         gram[1 : 1 + own, 1 : 1 + own] += precision
         taken = float(gram[0, 1:] @ np.linalg.lstsq(gram[1:, 1:], gram[1:, 0], rcond=1e-10)[0])
