@@ -1,10 +1,12 @@
-"""Where the search for a cause begins: nowhere worse than where it was looked at."""
+"""Where the search for a cause begins: nowhere worse than where it was looked at, in a part of a long session."""
 
 import numpy as np
 import pytest
 import torch
 from exact_base import ExactBase, known_noise, session_of
+from simulated_session import simulated_noise, simulated_session
 
+from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.screening import candidates
 from swarmtwin.geometry import exp_map
@@ -33,3 +35,45 @@ def test_a_search_begins_where_the_session_is_at_least_as_likely_as_on_its_grid(
     best = max(found, key=lambda one: one.nats)
     assert model.evaluate(best.start).total > max(on_grid) - 1.0
     assert abs(best.start[0].width - 22.3) < 2.0
+
+
+WEAKER_AND_LATE = [
+    mechanism_class("gain_change").at({"gain": 0.9}),
+    mechanism_class("command_delay").at({"delay_s": 0.05}),
+]
+OFFERED = {name: mechanism_class(name) for name in ("gain_change", "command_delay", "marker_yaw", "camera_scale")}
+
+
+@pytest.fixture(scope="module")
+def long_session(robots):
+    session = simulated_session(robots["mgr"], WEAKER_AND_LATE, 5, runs=90)
+    return SessionLikelihood(ExactBase(robots["mgr"]), simulated_noise(), session)
+
+
+def test_what_is_screened_in_a_part_of_the_runs_is_estimated_in_all(long_session):
+    part = long_session.thinned(900)
+    whole = CauseSearch(long_session, OFFERED).run()
+    found = CauseSearch(long_session, OFFERED, screened=part).run()
+    assert found.best.names and set(found.best.names) == set(whole.best.names) == {"gain_change", "command_delay"}
+    assert len(found.best.fitted.residual) == len(long_session.session) > 2 * len(part.session)
+    error = np.sqrt(np.diag(whole.best.covariance))
+    in_order = [whole.best.names.index(name) for name in found.best.names]
+    np.testing.assert_allclose(found.best.values, whole.best.values[in_order], atol=0.1 * error.max())
+    assert len(found.sets) < len(whole.sets)  # what is far behind in the part is not fitted to all
+
+
+def test_each_part_of_the_best_set_is_fitted_to_all_as_it_is_asked_about(long_session):
+    found = CauseSearch(long_session, OFFERED, screened=long_session.thinned(900)).run()
+    for name in found.best.names:
+        assert found.of_names([name]) is not None
+        assert found.is_likelier_than_nothing([name])
+
+
+def test_a_part_of_a_session_has_whole_runs_with_the_errors_that_they_have_in_all_of_it(long_session):
+    part, rows = long_session.thinned(900), long_session.session.spread_over(900)
+    assert 0.2 * len(rows) < rows.sum() <= 900
+    late = WEAKER_AND_LATE[1:]
+    np.testing.assert_allclose(part.errors(late), long_session.errors(late)[rows], atol=1e-9)
+    runs = long_session.session.run
+    assert set(runs[rows]).isdisjoint(runs[~rows])
+    assert long_session.thinned(len(rows)) is long_session

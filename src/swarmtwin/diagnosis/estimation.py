@@ -171,10 +171,7 @@ class _Search:
         return self.model.whitened_near(self.at(values), near).ravel()
 
     def slopes(self, values: np.ndarray, here: np.ndarray, near: Sequence[Mechanism] | None = None) -> np.ndarray:
-        """Return (3 N, P) how whitened errors change with the parameters, from those `here`.
-
-        By differences from mechanisms `near`; None: those with these values.
-        """
+        """Return (3 N, P) how whitened errors change with the parameters from those `here`, near some or these values."""
         columns, near = [], self.at(values) if near is None else near
         for index, parameter in enumerate(self.parameters):
             moved = values.copy()

@@ -248,9 +248,7 @@ def _of_one_size(way: Tensor) -> Tensor:
     return torch.tanh(4 * way / usual) * usual
 
 
-def form_effects(
-    model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick: bool = False
-) -> Iterator[np.ndarray]:
+def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> Iterator[np.ndarray]:
     """Yield (N, 3) how mechanisms may really look: what each changes, times smooth functions of the commands.
 
     A dead band may rescale what is left or not, a battery's curve may bend otherwise: another form of the same cause
