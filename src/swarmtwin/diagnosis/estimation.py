@@ -171,7 +171,7 @@ class _Search:
         return self.model.whitened_near(self.at(values), near).ravel()
 
     def slopes(self, values: np.ndarray, here: np.ndarray, near: Sequence[Mechanism] | None = None) -> np.ndarray:
-        """Return (3 N, P) how whitened errors change with the parameters from those `here`, near some or these values."""
+        """Return (3 N, P) how whitened errors change with the parameters from those `here`, near some or these."""
         columns, near = [], self.at(values) if near is None else near
         for index, parameter in enumerate(self.parameters):
             moved = values.copy()
