@@ -137,6 +137,7 @@ class CauseSearch:
         progress: called with what is being tried.
         reference: what its own errors show: commands that seem to be lost there as well; None: nothing.
         screened: of some of the session's runs, in which mechanisms are screened and sets first fitted; None: of all.
+        enough: standard deviations from which on a step towards the likeliest values is the last one.
     """
 
     def __init__(
@@ -146,11 +147,11 @@ class CauseSearch:
         progress: Progress | None = None,
         reference: ReferenceErrors | None = None,
         screened: SessionLikelihood | None = None,
+        enough: float = 0.05,
     ) -> None:
-        self._rough, self._enough = self, 0.05
+        self._rough, self._enough = self, enough
         if screened is not None and screened is not model:
-            self._rough = CauseSearch(screened, kinds, None, reference)
-            self._rough._enough = 0.5  # an eighth of a nat
+            self._rough = CauseSearch(screened, kinds, None, reference, enough=0.5)  # an eighth of a nat
         self._reference = reference or ReferenceErrors()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = model.shown_of(kinds)

@@ -192,15 +192,15 @@ class SessionLikelihood(SessionErrors):
     def any_forms(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> np.ndarray:
         """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
         larger = self.settings.estimation.form / self.settings.likelihood.form
-        return self._whitened(self._forms(mechanisms, is_quick) * larger)
+        return self._whitened(self._forms(mechanisms, is_quick, of_values=True) * larger)
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""
         return self.filter(directions).reshape(3 * len(directions), directions.shape[-1])
 
-    def _forms(self, mechanisms: Sequence[Mechanism], is_quick: bool) -> np.ndarray:
+    def _forms(self, mechanisms: Sequence[Mechanism], is_quick: bool, of_values: bool = False) -> np.ndarray:
         """Return (N, 3, q) what other forms of mechanisms would change."""
-        columns = list(form_effects(self, mechanisms, is_quick)) if mechanisms else []
+        columns = list(form_effects(self, mechanisms, is_quick, of_values)) if mechanisms else []
         return np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
 
     def _error_slopes(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:

@@ -248,7 +248,9 @@ def _of_one_size(way: Tensor) -> Tensor:
     return torch.tanh(4 * way / usual) * usual
 
 
-def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> Iterator[np.ndarray]:
+def form_effects(
+    model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick: bool = False, of_values: bool = False
+) -> Iterator[np.ndarray]:
     """Yield (N, 3) how mechanisms may really look: what each changes, times smooth functions of the commands.
 
     A dead band may rescale what is left or not, a battery's curve may bend otherwise: another form of the same cause
@@ -258,6 +260,7 @@ def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick
         model: of N transitions.
         mechanisms: with values.
         is_quick: whether one member of the simulation says what each changes.
+        of_values: whether it is the values' intervals that they are for.
     """
     functions = smooth_functions(model.robot, model.session.situation)
     now = model.errors(mechanisms)
@@ -265,17 +268,24 @@ def form_effects(model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick
         others = [other for other in mechanisms if other is not one]
         change = now - (model.errors_near(others, mechanisms) if is_quick else model.errors(others))
         if change.any():
-            yield from other_forms(one, change, functions, model.robot, model.settings.likelihood)
+            yield from other_forms(one, change, functions, model.robot, model.settings.likelihood, of_values)
 
 
 def other_forms(
-    mechanism: Mechanism, change: np.ndarray, functions: np.ndarray, robot: Robot, settings: LikelihoodSettings
+    mechanism: Mechanism,
+    change: np.ndarray,
+    functions: np.ndarray,
+    robot: Robot,
+    settings: LikelihoodSettings,
+    of_values: bool = False,
 ) -> Iterator[np.ndarray]:
     """Yield (N, 3) by what another form of a mechanism may differ, which changes (N, 3) of motion, by functions (N, q).
 
-    How actuators of thrust follow is known least: their forms differ by more, and to the side as well.
+    How actuators of thrust follow is known least: their forms differ by more, and to the side as well. So do those of
+    wheels where it is the values' intervals that they are for: a motor under load brakes otherwise than it speeds up.
     """
-    is_rough = robot.actuation.kind == "thrust" and mechanism.says_when
+    is_known_least = robot.actuation.kind == "thrust" or (of_values and mechanism.stage == "actuators")
+    is_rough = mechanism.says_when and is_known_least
     share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
     for function in functions[:, 1:].T:
         yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)
