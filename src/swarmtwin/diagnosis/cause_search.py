@@ -194,17 +194,19 @@ class CauseSearch:
 
         That is, behind the best of their size; of a size of which all are far behind the best smaller set, none.
         """
-        keys = {frozenset(type(one) for one in start): len(start) for start in starts}
+        proposed, settings = {frozenset(type(one) for one in start) for start in starts}, self.settings
         for start in starts:
             self._fit(start)
         likely = []
-        for size in sorted(set(keys.values())):
+        for size in sorted({len(kinds) for kinds in proposed}):
             ordered, smaller = self._of_size(size), [one for one in self.fitted.values() if len(one.names) < size]
-            behind = self.score(ordered[0]) - self.settings.most_behind
-            if self.score(ordered[0]) >= max(map(self.score, smaller), default=-math.inf) - self.settings.most_behind:
-                near = [one for one in ordered if self.score(one) >= behind]
-                near += [one for one in ordered[: self.settings.kept_sets] if one not in near]
-                likely += [one.mechanisms for one in near if frozenset(one.fitted.kinds) in keys]
+            best = self.score(ordered[0])
+            if best < max(map(self.score, smaller), default=-math.inf) - settings.most_behind:
+                continue
+            for place, one in enumerate(ordered):
+                is_near = place < settings.kept_sets or self.score(one) >= best - settings.most_behind
+                if is_near and frozenset(one.fitted.kinds) in proposed:
+                    likely.append(one.mechanisms)
         return likely
 
     def _of_size(self, count: int) -> list[EstimatedSet]:
