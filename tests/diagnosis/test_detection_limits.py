@@ -12,6 +12,7 @@ from swarmtwin.diagnosis.explanation import explanation
 from swarmtwin.diagnosis.gains import Errors, confirmed_from, gains
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import noise_change_probability, usual_noise_spread
+from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -159,3 +160,24 @@ def test_a_limit_needs_errors_that_fall_measurably_on_held_out_runs():
     assert counts[1.0] >= stats.binom.ppf(0.005, 60, 0.85)
     assert counts[1.3] >= 57
     assert counts[0.5] <= 30
+
+
+def test_limits_looked_for_in_a_part_are_those_of_the_whole_session(base):
+    """Where a cause shows best, and its rivals, a part of the runs tells; how large it must be, all of them.
+
+    A patch shows best elsewhere in each, and is another one.
+    """
+    session = session_of(base, np.random.default_rng(7), as_simulated, runs=80, steps=15)
+    whole, in_part = (
+        SessionLikelihood(base, known_noise(), session, settings=DiagnosisSettings.parse({"search": most}, "here"))
+        for most in ({}, {"most_screened": 400})
+    )
+    assert len(in_part.thinned(400).session) < 0.5 * len(whole.thinned(1500).session)
+    limits = [
+        {one.limit.cause: one.limit for one in detection_limits(explanation(model, CauseSearch(model, OFFERED).run()))}
+        for model in (whole, in_part)
+    ]
+    assert limits[0].keys() == limits[1].keys()
+    for name, limit in limits[0].items():
+        assert (limit.value is None) == (limits[1][name].value is None)
+        assert name == "surface_patch" or limits[1][name].share_of_range == pytest.approx(limit.share_of_range, rel=0.1)

@@ -86,14 +86,17 @@ def test_units_with_wheels_do_not_differ_by_where_they_are(robots):
     assert explained_by_units(robots["mgr"], "steady_drift", x_mm_s=2.0, y_mm_s=0.0) < 0.1
 
 
-@pytest.mark.parametrize(("robot", "share", "axes"), [("mgr", 0.05, {0, 2}), ("mur", 0.1, {0, 1, 2})])
-def test_how_thrust_follows_is_known_least_and_to_the_side_as_well(robots, robot, share, axes):
+@pytest.mark.parametrize(
+    ("robot", "of_values", "share", "axes"),
+    [("mgr", False, 0.05, {0, 2}), ("mgr", True, 0.1, {0, 1, 2}), ("mur", False, 0.1, {0, 1, 2})],
+)
+def test_how_thrust_follows_is_known_least_as_are_the_values_of_wheels(robots, robot, of_values, share, axes):
     base = ExactBase(robots[robot])
     session = session_of(base, np.random.default_rng(2))
     model = SessionLikelihood(base, known_noise(), session)
     late = [mechanism_class("actuator_lag").at({"time_constant_s": 0.1})]
     change = model.errors(late) - model.errors([])
-    alone = list(form_effects(model, late))[-len(axes) :]
+    alone = list(form_effects(model, late, of_values=of_values))[-len(axes) :]
     for axis, form in zip(sorted(axes), alone, strict=True):
         np.testing.assert_allclose(form[:, axis], share * change[:, axis])
         assert not np.delete(form, axis, axis=1).any()

@@ -109,6 +109,19 @@ def test_one_member_says_by_how_much_mechanisms_change_errors(robots, base):
     np.testing.assert_allclose(model.errors_near(near, near), model.errors(near), atol=1e-9)
 
 
+@pytest.mark.parametrize("gain", [0.7, 1.2])
+def test_a_descent_by_what_one_member_changes_ends_where_the_whole_simulation_leads(robots, gain):
+    """Each begins with the whole simulation; the last one ends so near its beginning that members hardly matter."""
+    robot, gains = robots["mgr"], 1 + 0.02 * np.random.default_rng(8).normal(size=MEMBERS)
+    model = SessionLikelihood(Disagreeing(robot, gains), known_noise(), session(robot, 4, gain))
+    start = [
+        mechanism_class("gain_change").at({"gain": 1.0}),
+        mechanism_class("command_delay").at({"delay_s": 0.1}),
+    ]
+    quick, whole = estimate(model, start), estimate(model, start, final=True)
+    np.testing.assert_allclose(quick.values, whole.values, atol=0.1 * np.sqrt(np.diag(whole.covariance)).min())
+
+
 def test_a_trained_model_is_corrected_by_one_member_wherever_it_is_asked(robots):
     gains = np.linspace(0.9, 1.1, MEMBERS)
     model = SessionLikelihood(Corrected(robots["mur"], gains), known_noise(), session(robots["mur"], 6, 1.0))

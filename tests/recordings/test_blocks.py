@@ -86,10 +86,21 @@ def session(mgr, runs, steps):
     return MeasuredSession.of(transitions, conditions_of(transitions))
 
 
-def test_a_part_of_many_runs_is_every_other_run(mgr):
-    short = session(mgr, runs=12, steps=30)
+def test_a_part_of_many_runs_is_spread_over_them_and_keeps_step_with_nothing(mgr):
+    short = session(mgr, runs=60, steps=30)
     assert short.spread_over(len(short)).all()
-    np.testing.assert_array_equal(short.spread_over(len(short) // 3), short.run % 3 == 0)
+    chosen = short.spread_over(len(short) // 3)
+    assert len(short) / 3 <= chosen.sum() < 1.1 * len(short) / 3
+    runs = np.unique(short.run[chosen])
+    assert set(runs).isdisjoint(short.run[~chosen])
+    assert np.diff(runs).max() <= 5
+    for every in (2, 3, 4):  # other drives in turn, and runs held out
+        assert np.bincount(runs % every, minlength=every).min() >= 0.6 * len(runs) / every
+
+
+def test_a_part_has_as_many_runs_as_any_conclusion_takes(mgr):
+    few = session(mgr, runs=12, steps=30)
+    assert len(np.unique(few.run[few.spread_over(10)])) == 8
 
 
 def test_a_part_of_one_long_run_is_of_all_of_it(mgr):

@@ -137,7 +137,7 @@ class CauseSearch:
         progress: called with what is being tried.
         reference: what its own errors show: commands that seem to be lost there as well; None: nothing.
         screened: of some of the session's runs, in which mechanisms are screened and sets first fitted; None: of all.
-        enough: standard deviations from which on a step towards the likeliest values is the last one.
+        enough: a step towards the likeliest values is the last one where it is shorter, in standard deviations.
     """
 
     def __init__(
@@ -149,9 +149,9 @@ class CauseSearch:
         screened: SessionLikelihood | None = None,
         enough: float = 0.05,
     ) -> None:
-        self._rough, self._enough = self, enough
+        self._in_part, self._enough = self, enough
         if screened is not None and screened is not model:
-            self._rough = CauseSearch(screened, kinds, None, reference, enough=0.5)  # an eighth of a nat
+            self._in_part = CauseSearch(screened, kinds, None, reference, enough=0.5)  # an eighth of a nat
         self._reference = reference or ReferenceErrors()
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = model.shown_of(kinds)
@@ -176,25 +176,25 @@ class CauseSearch:
 
     def _starts(self, frontier: Sequence[EstimatedSet], count: int) -> list[tuple[Mechanism, ...]]:
         """Return where fits of sets of `count` causes begin, and of pairs at first: as far as they promise anything."""
-        screened, promise = self._rough.model, self.settings.least_promise
-        promise *= len(screened.session) / len(self.model.session)
+        screened = self._in_part.model
+        promise = self.settings.least_promise * len(screened.session) / len(self.model.session)
         proposed: list[Candidate] = []
         for number, one in enumerate(frontier):
             self._tell(f"{count} causes", number, len(frontier))
-            beside = one.fitted if self._rough is self else screened.evaluate(one.mechanisms)
+            beside = screened.evaluate(one.mechanisms)
             found = candidates(screened, beside, self.kinds)
             proposed += best_by_name(found, self.settings.fitted_a_set)
             if count == 1:
                 proposed += pairs(screened, beside, found)[: self.settings.fitted_pairs]
         starts = [candidate.start for candidate in proposed if candidate.nats > promise]
-        return starts if self._rough is self else self._rough.likely_starts(starts)
+        return starts if self._in_part is self else self._in_part.likely_starts(starts)
 
     def likely_starts(self, starts: Sequence[tuple[Mechanism, ...]]) -> list[tuple[Mechanism, ...]]:
-        """Return sets with the values that are likeliest here, of those that are not far behind.
+        """Return sets with the values that are likeliest here, of those that are not far less probable than the best.
 
-        That is, behind the best of their size; of a size of which all are far behind the best smaller set, none.
+        That is, than the best of their size; of a size of which all are so beside the best smaller set, none.
         """
-        proposed, settings = {frozenset(type(one) for one in start) for start in starts}, self.settings
+        proposed, settings = {_kinds(start) for start in starts}, self.settings
         for start in starts:
             self._fit(start)
         likely = []
@@ -205,7 +205,7 @@ class CauseSearch:
                 continue
             for place, one in enumerate(ordered):
                 is_near = place < settings.kept_sets or self.score(one) >= best - settings.most_behind
-                if is_near and frozenset(one.fitted.kinds) in proposed:
+                if is_near and _kinds(one.mechanisms) in proposed:
                     likely.append(one.mechanisms)
         return likely
 
@@ -268,7 +268,7 @@ class CauseSearch:
 
     def _fit(self, start: Sequence[Mechanism]) -> EstimatedSet:
         """Fit a set, anew where it was fitted before and is likelier already where it would begin now."""
-        key = frozenset(type(one) for one in start)
+        key = _kinds(start)
         known = self.fitted.get(key)
         if known is None or (start and self.model.evaluate(start).total > known.fitted.total + 0.5):
             found = estimate(self.model, start, enough=self._enough)
@@ -281,7 +281,7 @@ class CauseSearch:
         if not all(kind.is_smooth for kind in one.fitted.kinds) and not loses_commands(one.fitted.kinds):
             found = estimate(self.model, one.mechanisms, polish=True)
             if self.score(found) > self.score(one):
-                self.fitted[frozenset(one.fitted.kinds)] = found
+                self.fitted[_kinds(one.mechanisms)] = found
                 return found
         return one
 
@@ -295,19 +295,22 @@ class CauseSearch:
             best = max(self.fitted.values(), key=self.score)
             for name in best.names:
                 left = [one for one in best.mechanisms if one.name != name]
-                key, again = frozenset(type(one) for one in left), estimate(self.model, left, polish=True)
+                key, again = _kinds(left), estimate(self.model, left, polish=True)
                 if key not in self.fitted or self.score(again) > self.score(self.fitted[key]):
                     self.fitted[key] = again
             if max(self.fitted.values(), key=self.score) is best:
                 return
 
     def _fit_parts_of_best(self) -> None:
-        """Fit what was not fitted of the best set's parts: they are asked about when it is told."""
-        causes = max(self.fitted.values(), key=self.score).mechanisms
-        for size in range(1, len(causes)):
-            for part in combinations(causes, size):
-                if frozenset(type(one) for one in part) not in self.fitted:
-                    self._fit(part)
+        """Fit what was not fitted of the best set's parts, until it stays the best: they are asked about by name."""
+        while True:
+            best = max(self.fitted.values(), key=self.score)
+            for size in range(1, len(best.names)):
+                for part in combinations(best.mechanisms, size):
+                    if _kinds(part) not in self.fitted:
+                        self._fit(part)
+            if max(self.fitted.values(), key=self.score) is best:
+                return
 
     def _posterior(self, nothing: EstimatedSet) -> CausePosterior:
         ordered = sorted(self.fitted.values(), key=self.score, reverse=True)
@@ -318,3 +321,8 @@ class CauseSearch:
     def _tell(self, stage: str, done: int, whole: int) -> None:
         if self.progress:
             self.progress(stage, done, whole)
+
+
+def _kinds(mechanisms: Sequence[Mechanism]) -> frozenset[MechanismClass]:
+    """Return which mechanisms these are, in which forms."""
+    return frozenset(type(one) for one in mechanisms)

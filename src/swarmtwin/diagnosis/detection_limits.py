@@ -57,24 +57,39 @@ def detection_limits(
     """
     model, best = explained.model, explained.best
     kinds = model.shown_of(kinds or offered(model.robot, model.session.conditions))
-    sketch = model.thinned(model.settings.search.most_screened)
-    beside_all = _Limits(explained, best.mechanisms, unfitted, sketch)
-    rivals = candidates(sketch, sketch.evaluate(best.mechanisms), kinds)
+    part, rivals = _screened(model, best.mechanisms, kinds)
+    beside_all = _Limits(explained, best.mechanisms, unfitted, part)
     found = beside_all.of_moving(rivals, rivals)
     for name in best.names:
         others = [one for one in best.mechanisms if one.name != name]
-        own = candidates(sketch, sketch.evaluate(others), {name: kinds[name]})
-        found += _Limits(explained, others, unfitted, sketch).of_moving(own, rivals)
+        own = candidates(part, part.evaluate(others), {name: kinds[name]})
+        found += _Limits(explained, others, unfitted, part).of_moving(own, rivals)
     found += [FoundLimit(beside_all.of_loss(kind)) for kind in kinds.values() if loses_commands([kind])]
     found += [FoundLimit(noise_limit(explained, beside_all.power))] if "noise_change" in kinds else []
     return tuple(sorted(found, key=lambda one: one.limit.cause))
 
 
+def _screened(
+    model: SessionLikelihood, mechanisms: Sequence[Mechanism], kinds: Mapping[str, MechanismClass]
+) -> tuple[SessionLikelihood, list[Candidate]]:
+    """Return the part of a session in which causes are looked at, and these; all of it where it alone shows one."""
+    part = model.thinned(model.settings.search.most_screened)
+    found = candidates(part, part.evaluate(mechanisms), kinds)
+    if part is model:
+        return part, found
+    shown = {one.name for one in found if np.any(one.columns)}
+    unseen = {name: kind for name, kind in kinds.items() if name not in shown and not loses_commands([kind])}
+    whole = model.evaluate(mechanisms)
+    if any(np.any(one.columns) for one in candidates(model, whole, unseen)):
+        return model, candidates(model, whole, kinds)
+    return part, found
+
+
 class _Limits:
     """Looks for limits beside mechanisms that are there already.
 
-    Where a cause shows best, and what it may be taken for, some of the session's runs tell (`sketch`); how much of it
-    there must be, all of them.
+    Where a cause shows best, and what it may be taken for, a part of the session tells; how much of it there must be,
+    all of it.
     """
 
     def __init__(
@@ -82,13 +97,13 @@ class _Limits:
         explained: Explanation,
         beside: Sequence[Mechanism],
         unfitted: SessionLikelihood | None,
-        sketch: SessionLikelihood,
+        part: SessionLikelihood,
         power: float = 0.9,
     ) -> None:
         self.model, self.power = explained.model, float(stats.norm.ppf(power))
         self.around = Surroundings(self.model, beside)
-        self.sketched = self.around if sketch is self.model else Surroundings(sketch, beside)
-        self._as_long = len(self.model.session) / len(sketch.session)
+        self.around_in_part = self.around if part is self.model else Surroundings(part, beside)
+        self._times_as_long = len(self.model.session) / len(part.session)
         settings = self.model.settings.search
         searched = len(explained.posterior.nothing.fitted.residual)
         self.share_searched = searched / len(self.model.session)
@@ -113,7 +128,7 @@ class _Limits:
                 share = size / cause.parameter.size
                 if one.name not in clearest or share < clearest[one.name][0] / clearest[one.name][1].parameter.size:
                     clearest[one.name] = size, cause
-        known = Rivals(self.sketched, rivals)
+        known = Rivals(self.around_in_part, rivals)
         return [self._limit(name, cause, size, known) for name, (size, cause) in clearest.items()]
 
     def _needed(self, kind: MechanismClass) -> float:
@@ -131,7 +146,7 @@ class _Limits:
     def _proportional_size(self, one: Candidate) -> float:
         """Return the size from which on a cause would be seen if its effect grew in proportion."""
         first = one.columns[:, :1]
-        length = math.sqrt(max(self._as_long * float(self.sketched.gram(first)[0, 0]), 1e-12))
+        length = math.sqrt(max(self._times_as_long * float(self.around_in_part.gram(first)[0, 0]), 1e-12))
         needed = self._needed(one.form) + self.too_little
         return (math.sqrt(2 * needed) + self.power) * abs(next(iter(one.off.values()))) / length
 
@@ -179,11 +194,11 @@ class _Limits:
     def _nearest(
         self, mechanism: Mechanism, change: np.ndarray, rivals: Rivals, alike: float = 0.7, tried: int = 2
     ) -> tuple[Mechanism | None, float]:
-        """Return the cause that comes nearest to what a mechanism changes (3 N,), of the likest, and how near."""
+        """Return the cause that comes nearest to what a mechanism changes (3 N,), of the two most alike."""
         nearest, least = None, math.inf
-        sketched = change if self.sketched is self.around else self.sketched.change(mechanism)
-        for rival in rivals.alike(sketched, mechanism.name, alike)[:tried]:
-            imitation = self.sketched.imitation(sketched, rival)
+        in_part = change if self.around_in_part is self.around else self.around_in_part.change(mechanism)
+        for rival in rivals.alike(in_part, mechanism.name, alike)[:tried]:
+            imitation = self.around_in_part.imitation(in_part, rival)
             apart = self.around.apart(change, imitation) if imitation else math.inf
             if apart < least:
                 nearest, least = imitation, apart

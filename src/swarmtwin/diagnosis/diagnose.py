@@ -125,8 +125,9 @@ def find_causes(
 ) -> CausePosterior:
     """Search for the causes; in a long session in a part of its runs, their values are then estimated in all of it."""
     settings = reference.settings.search
-    part = model.thinned(settings.most_transitions)
-    return CauseSearch(part, sought_kinds(model), progress, own, part.thinned(settings.most_screened)).run()
+    searched = model.thinned(settings.most_transitions)
+    screened = searched.thinned(settings.most_screened)
+    return CauseSearch(searched, sought_kinds(model), progress, own, screened).run()
 
 
 def errors_of(reference: Reference) -> ReferenceErrors:

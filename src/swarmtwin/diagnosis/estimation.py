@@ -92,7 +92,7 @@ def estimate(
         final: whether to take slopes from the whole simulation, not from one member of what is quick in its place; and
             where the motion changes by jumps, to look at a smooth surface through the likelihood there: by what its
             minimum differs over resampled runs, since slopes say little there, and whether it leads further.
-        enough: standard deviations from which on a step of least squares is the last one.
+        enough: a step of least squares is the last one where it is shorter, in standard deviations.
     """
     kinds = [type(mechanism) for mechanism in start]
     search = _Search(model, kinds, is_exact=final)
@@ -171,7 +171,7 @@ class _Search:
         return self.model.whitened_near(self.at(values), near).ravel()
 
     def slopes(self, values: np.ndarray, here: np.ndarray, near: Sequence[Mechanism] | None = None) -> np.ndarray:
-        """Return (3 N, P) how whitened errors change with the parameters from those `here`, near some or these."""
+        """Return (3 N, P) how whitened errors `here` change with the parameters, as `whitened_near` says."""
         columns, near = [], self.at(values) if near is None else near
         for index, parameter in enumerate(self.parameters):
             moved = values.copy()

@@ -26,6 +26,7 @@ from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModel
+from swarmtwin.simulation.ensemble_dynamics import CrossFitted
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
 MechanismClass = type[Mechanism]
@@ -107,6 +108,8 @@ class SessionLikelihood(SessionErrors):
     ) -> None:
         super().__init__(base, noise, session, known_vehicles, unit_spread, settings, explained, quick)
         self._discrepancy = discrepancy
+        self.clock_s = session.transitions.duration_s
+        """How long the periods are of the session that this is part of, by its clock."""
 
     @cached_property
     def discrepancy(self) -> tuple[np.ndarray, np.ndarray]:
@@ -303,19 +306,22 @@ class SessionLikelihood(SessionErrors):
         return float(((np.log(scale) / self.settings.noise.set_scale_spread) ** 2).sum()) / 2
 
     def thinned(self, most: int) -> "SessionLikelihood":
-        """Return that of every second, third, … run, about `most` transitions; itself where there are no more."""
-        if len(self.session) <= most:
-            return self
+        """Return that of some runs, of about `most` transitions; itself where there are no more."""
         rows = self.session.spread_over(most)
-        other = self._like(self.session.where(rows), self.explained)
+        if rows.all():
+            return self
+        base = self.predictor.base
+        base = base.of_rows(rows) if isinstance(base, CrossFitted) else base
+        other = self._of(self.session.where(rows), base, self.explained)
         expected, directions = self.discrepancy
         other.discrepancy, other.disagreement = (expected[rows], directions[rows]), self.disagreement[rows]
+        other.clock_s = self.clock_s
         return other
 
-    def _like(self, session: MeasuredSession, explained: Sequence[Mechanism]) -> "SessionLikelihood":
+    def _of(self, session: MeasuredSession, base: DynamicsModel, explained: Sequence[Mechanism]) -> "SessionLikelihood":
         known = [vehicle for vehicle in self.session.transitions.vehicles if vehicle not in self.unknown_vehicles]
         return SessionLikelihood(
-            self.predictor.base,
+            base,
             self.reference_noise,
             session,
             tuple(known),
@@ -328,7 +334,7 @@ class SessionLikelihood(SessionErrors):
 
     def explained_by(self, mechanisms: Sequence[Mechanism]) -> "SessionLikelihood":
         """Return it with the noise of what mechanisms leave."""
-        other = self._like(self.session, mechanisms)
+        other = self._of(self.session, self.predictor.base, mechanisms)
         other.predictor, other.flexible = self.predictor, self.flexible
         other.one_member = self.one_member
         other.discrepancy, other.disagreement = self.discrepancy, self.disagreement
@@ -358,12 +364,12 @@ class SessionLikelihood(SessionErrors):
 
     def read_off_clock(self, kind: MechanismClass) -> dict[str, float]:
         """Return what a mechanism reads off the session's clock."""
-        return kind.read_from_clock(self.session.transitions.duration_s, self.robot) or {}
+        return kind.read_from_clock(self.clock_s, self.robot) or {}
 
     def can_show(self, kind: MechanismClass) -> bool:
         """Say whether the session can show a mechanism at all."""
         transitions = self.session.transitions
-        if kind.read_from_clock(transitions.duration_s, self.robot) is None:
+        if kind.read_from_clock(self.clock_s, self.robot) is None:
             return False
         if loses_commands([kind]) and self.session.sent and self.session.sent.a_period >= 2:
             return False  # one that is lost is followed by the same, or nearly, within the period

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from swarmtwin.geometry import log_map, wrap_angle
 from swarmtwin.learning.situation import Situation
+from swarmtwin.recordings.blocks import FEWEST_RUNS
 from swarmtwin.recordings.recording import Sent, Track
 from swarmtwin.recordings.resampling import mean_held
 from swarmtwin.simulation.conditions import SessionConditions
@@ -153,19 +154,23 @@ class MeasuredSession:
         ]
 
     def spread_over(self, most: int, longest: int = 400) -> np.ndarray:
-        """Return a mask (N,) of `most` transitions or about as few, of every second, third, … run.
+        """Return a mask (N,) of `most` transitions or hardly more, of runs spread evenly over the session.
 
-        A run of more than `longest` periods counts as several, one after the other: the whole session is looked at,
-        however few its runs are.
+        Multiples of the golden ratio choose the runs, which keep step with nothing that recurs every few of them: other
+        drives or vehicles in turn, or runs held out. A run of more than `longest` periods counts as several, one after
+        the other: the whole session is looked at, however few its runs are. Of the `FEWEST_RUNS` that any conclusion
+        takes there may be more transitions.
         """
-        every = -(-len(self) // most)
+        if len(self) <= most:
+            return np.ones(len(self), bool)
         began_s = np.full(self.runs, np.inf)
         np.minimum.at(began_s, self.run, self.transitions.time_s)
         periods = (self.transitions.time_s - began_s[self.run]) / self.transitions.robot.period_s
         part = np.column_stack([self.run, np.floor(np.round(periods, 6) / longest)])
-        _, number = np.unique(part, axis=0, return_inverse=True)
-        chosen: np.ndarray = number % every == 0
-        return chosen
+        _, number, transitions = np.unique(part, axis=0, return_inverse=True, return_counts=True)
+        order = np.argsort(np.arange(len(transitions)) * (5**0.5 - 1) / 2 % 1.0)
+        enough = 1 + int(np.searchsorted(np.cumsum(transitions[order]), most))
+        return np.isin(number.ravel(), order[: max(enough, min(FEWEST_RUNS, self.runs))])
 
     def under(self, conditions: SessionConditions) -> "MeasuredSession":
         """Return the same transitions under other conditions."""

@@ -28,8 +28,8 @@ class ReferenceSettings(StrictModel):
         coverage_neighbours: reference commands whose distance says whether a measured command is covered.
         coverage_distance: largest such distance, over the median distance within the reference itself,
         coverage_share: or as far as this share of its own commands are from each other.
-        most_transitions: that its noise and its errors are learned from; of a longer reference every second, third, …
-            run. The simulation is learned from all.
+        most_transitions: that its noise and its errors are learned from; of a longer reference some of its runs. The
+            simulation is learned from all.
         most_measured: rows of a measured recording that are compared; of a longer one every second, third, … run or
             block of a run.
         overlap_neighbours: reference transitions that each measured one counts for, when the reference is weighted to
@@ -190,16 +190,16 @@ class SearchSettings(StrictModel):
             follows: what a change of its setting does on the way is known to little more than a quarter.
         most_causes: that are named in one session. Where more are likelier, none is: any gap can be pieced together
             from enough causes.
-        most_transitions: searched in; of longer sessions every second, third, … run is, and the rest for the estimates.
-        most_screened: of these, in which mechanisms are screened and sets first fitted; those that are not far behind
-            are then fitted to all.
-        most_behind: nats by which a set may be less likely there than the best of its size and still be fitted to all:
-            a ratio of 5 × 10⁸ is not made up for by more of the same session. The `kept_sets` always are.
+        most_transitions: searched in; of longer sessions some of the runs are, and the rest serve for the estimates.
+        most_screened: of these, in which mechanisms are screened and sets first fitted; those that are not far less
+            probable there than the best are then fitted to all.
+        most_behind: nats by which they may be: a ratio of 5 × 10⁸ is not made up for by more of the same session. The
+            `kept_sets` of a size always are, unless its best is so far behind the best smaller set.
         grid_points: of each mechanism's grid, where it is screened.
         fitted_a_set: mechanisms that are fitted beside each of the sets that are kept.
         fitted_pairs: pairs that are fitted at once.
         kept_sets: of each size, beside which a further cause is looked for.
-        least_promise: nats below which nothing is fitted.
+        least_promise: nats below which nothing is fitted, of the whole session.
         named_from: probability from which on a cause counts as sure.
         reported_from: probability from which on a cause leads: it is named where it or its rivals are sure.
         rival_from: probability that a cause must hold in the place of another one to be its rival.
@@ -212,7 +212,7 @@ class SearchSettings(StrictModel):
     least_share_late: NonNegative = 0.08
     most_causes: Count = 3
     most_transitions: Count = 6000
-    most_screened: Count = 2000
+    most_screened: Count = 1500
     most_behind: Positive = 20.0
     grid_points: Count = 32
     fitted_a_set: Count = 4
