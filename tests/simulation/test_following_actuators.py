@@ -8,7 +8,7 @@ from exact_model import ExactDynamics, conditions_of, simulation_with, situation
 from swarmtwin.geometry import compose, exp_map, log_map
 from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.following_actuators import _relaxed_twist, left_over
+from swarmtwin.simulation.following_actuators import _relaxed_twist, left_over, stopped_by_friction
 
 
 @pytest.mark.parametrize("lags", [(0.1, 0.1, 0.1), (0.4, 0.05, 0.2), (0.4, 0.0, 0.0), (0.0, 0.3, 0.6)])
@@ -28,6 +28,33 @@ def test_a_twist_that_relaxes_axis_by_axis_leads_where_fine_steps_do(lags, share
     error_mm, plain_mm = ((exp_map(one * share) - exact)[:, :2].abs().max() for one in (mean, plain))
     assert error_mm < 0.1
     assert error_mm < plain_mm / 10  # what comes first matters, and is what is left of it to second order
+
+
+@pytest.mark.parametrize("share", [1.0, 0.25])
+@pytest.mark.parametrize("friction", [2.0, 8.0])
+def test_wheels_that_rub_stand_sooner_as_newton_says(share, friction):
+    lag, steps = 0.2, 20_000
+    start = torch.tensor([[30.0, -25.0], [12.0, 40.0], [-20.0, 0.0], [1.0, -6.0]], dtype=torch.float64)
+    target = torch.tensor([[0.0, 0.0], [-30.0, 20.0], [15.0, 25.0], [-40.0, 9.0]], dtype=torch.float64)
+    drive = target + target.sign() * friction  # how fast the motor would turn without friction
+    speed, way = start.clone(), torch.zeros_like(start)
+    for _ in range(steps):
+        turning = torch.where(speed != 0, speed.sign(), drive.sign())
+        faster = (drive - friction * turning - speed) * (share / steps / lag)
+        reached = torch.where((speed == 0) & (drive.abs() <= friction), speed, speed + faster)
+        reached = torch.where(speed * reached < 0, torch.zeros_like(speed), reached)
+        way, speed = way + (speed + reached) / 2 * share / steps, reached
+    on_average, at_last = stopped_by_friction(start, target, friction, lag, share)
+    mean, left = left_over(share, lag)
+    torch.testing.assert_close(target + (start - target) * mean + on_average, way / share, rtol=0, atol=0.01)
+    torch.testing.assert_close(target + (start - target) * left + at_last, speed, rtol=0, atol=0.01)
+
+
+def test_friction_changes_nothing_for_wheels_that_neither_stop_nor_turn_back():
+    start = torch.tensor([[30.0, 0.0], [-12.0, -40.0]], dtype=torch.float64)
+    target = torch.tensor([[10.0, 25.0], [-30.0, -1.0]], dtype=torch.float64)
+    for change in stopped_by_friction(start, target, 5.0, 0.2, 1.0):
+        assert not change.any()
 
 
 class HullOfUnlikeAxes(ExactDynamics):

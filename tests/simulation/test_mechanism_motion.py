@@ -84,6 +84,23 @@ def test_wheels_that_did_not_reach_their_speed_in_a_period_go_on_to_it_in_the_ne
     assert ways[1] == pytest.approx(3 * float(ways[0]), rel=0.01)
 
 
+def test_a_wheel_whose_gear_rubs_loses_less_way_to_a_lag_where_it_stops_or_turns_back(robots):
+    robot = robots["mgr"]
+    faster, stops, turns_back = ([speed, speed] for speed in (100.0, 0.0, -100.0))
+    changes = {"command": torch.tensor([faster, stops, turns_back])}
+    changes |= dict.fromkeys(("previous_command", "earlier_command"), torch.full((3, 2), 60.0))
+    situation = situation_of(robot, np.random.default_rng(3), count=3, **changes)
+    lag = {"time_constant_s": 0.1 * robot.period_s}
+    full_mm = float(ExactDynamics(robot).twist(situation.previous_command)[0, 0])
+    friction_mm = 0.1 * full_mm
+    plain, simulated = moved(robot, "actuator_lag", situation, **lag)
+    rubbing, _ = moved(robot, "actuator_lag", situation, **lag, friction_mm_s=friction_mm / robot.period_s)
+    goes_on, stopped, turned_back = ((rubbing - simulated)[:, 0] / (plain - simulated)[:, 0]).tolist()
+    assert goes_on == pytest.approx(1.0)
+    assert stopped == pytest.approx(1 - friction_mm / full_mm * math.log1p(full_mm / friction_mm), abs=2e-3)
+    assert stopped < turned_back < 1
+
+
 def test_lag_of_nothing_is_nothing_and_grows_from_there(robots):
     for robot in (robots["mgr"], robots["mur"]):
         situation = situation_of(robot, np.random.default_rng(4))

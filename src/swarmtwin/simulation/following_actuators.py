@@ -15,6 +15,8 @@ from torch import Tensor
 from swarmtwin.geometry import exp_map, log_map
 from swarmtwin.simulation.arcs import moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
+from swarmtwin.simulation.mechanism import Moment
 
 Supply = Callable[[Tensor], Tensor]
 """What becomes of twists (N, 3) of actuators with their supply as it is."""
@@ -37,6 +39,7 @@ class Following(NamedTuple):
         added_lag: time constant with which actuators follow it, beyond the lag that they have by themselves.
         share_of_transient: what is left of what a sudden change of a setting brings about beyond steady motion.
         transient_lag: time constant with which that dies away once the command acts; 0: at once.
+        friction: by which speed, mm a period, rolling wheels are slower for the friction of their gears.
     """
 
     place: int
@@ -45,6 +48,7 @@ class Following(NamedTuple):
     added_lag: float
     share_of_transient: float = 1.0
     transient_lag: float = 0.0
+    friction: float = 0.0
 
     @property
     def shares(self) -> list[float]:
@@ -62,11 +66,14 @@ class Following(NamedTuple):
     def wheels_at_end(self, twists: BaseTwists, supply: Supply, wheels: ActuatorTwists) -> ActuatorTwists:
         """Return the twists of wheels at the period's end alone: those that `wheels` comes to."""
         new, old = supply(twists.steady(self.place)), supply(twists.steady(self.place + 1))
-        own_lags, (twist, undisturbed) = twists.moment.conditions.own_lags, wheels
+        moment, (twist, undisturbed) = twists.moment, wheels
+        own_lags = moment.conditions.own_lags
         for share, end in zip(self.shares, self.ends, strict=True):
             target = old if end <= self.latency else new
-            twist = target + (twist - target) * _left_at_last(share, own_lags, self.added_lag)
-            undisturbed = new + (undisturbed - new) * _left_at_last(share, own_lags)
+            late = target + (twist - target) * _left_at_last(share, own_lags, self.added_lag)
+            twist = late + self._by_friction(twist, target, share, moment, self.added_lag)[1]
+            late = new + (undisturbed - new) * _left_at_last(share, own_lags)
+            undisturbed = late + self._by_friction(undisturbed, new, share, moment)[1]
         return ActuatorTwists(twist, undisturbed)
 
     def settings(
@@ -121,10 +128,14 @@ class Following(NamedTuple):
         twist, reference = moving
         pieces, references = [], []
         for share, target in zip(self.shares, targets, strict=True):
+            sooner = self._by_friction(twist, target, share, twists.moment, added_lag)
             mean, twist = _relaxed_twist(twist, target, share, own_lags, added_lag)
-            reference_mean, reference = _relaxed_twist(reference, new, share, own_lags)
-            pieces.append(mean)
-            references.append(reference_mean)
+            pieces.append(mean + sooner[0])
+            twist = twist + sooner[1]
+            sooner = self._by_friction(reference, new, share, twists.moment)
+            mean, reference = _relaxed_twist(reference, new, share, own_lags)
+            references.append(mean + sooner[0])
+            reference = reference + sooner[1]
         learned = response - sum(share * piece for share, piece in zip(self.shares, references, strict=True))
         correction = None
         if any(own_lags):
@@ -138,6 +149,20 @@ class Following(NamedTuple):
                 piece + self.share_of_transient * act * before for piece, act in zip(pieces, going_on, strict=True)
             ]
         return pieces, correction, ActuatorTwists(twist, reference)
+
+    def _by_friction(
+        self, start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
+    ) -> tuple[Tensor, Tensor]:
+        """Return what friction changes in the twists (N, 3) of wheels over a piece: on average, and at last."""
+        ahead, _, turn = moment.conditions.own_lags
+        lag = (ahead + turn) / 2 + added_lag
+        if self.friction <= 0 or lag <= 0:
+            nothing = torch.zeros_like(target)
+            return nothing, nothing
+        rolling = (wheel_travel(twist, moment.track_mm) for twist in (start, target))
+        stopped = stopped_by_friction(*rolling, self.friction, lag, share)
+        on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
+        return on_average, at_last
 
     def _when_transients_act(self) -> tuple[list[float], list[float]]:
         """Return how strong over each piece is what a change of command brings about: of the last one, of that before.
@@ -277,6 +302,42 @@ class _Fading(NamedTuple):
         mixed = self.lag * (other.on_average - both) - other.lag * (self.on_average - both)
         moved: Tensor = self.late * other.target * self.order - self.target * other.late * other.order
         return moved + self.late * other.late * (mixed / 2)
+
+
+def stopped_by_friction(
+    start: Tensor, target: Tensor, friction: float, lag: float, share: float
+) -> tuple[Tensor, Tensor]:
+    """Return what friction changes in how fast wheels roll, (N, 2) mm a period, over a share of a period.
+
+    A wheel follows its motor with a lag of first order, and is slower by its gear's friction either way. Until one that
+    is to stop stands, friction brakes it like a motor, and one that is to turn back as if it were to roll the other way
+    by twice as much faster: it does not come to its new speed along one exponential, but stands sooner.
+
+    Args:
+        start: (N, 2) at first.
+        target: (N, 2) in the long run.
+        friction: by which speed it slows a wheel, > 0.
+        lag: > 0.
+        share: of the period.
+
+    Returns:
+        What is added to the mean of target + (start − target) · exp(−t / lag), and to its end.
+    """
+    opposed = (start * target <= 0) & (start != 0)
+    braked = target - start.sign() * (friction + target.abs().clamp(max=friction))
+    stands_after = lag * torch.log1p(start.abs() / braked.abs())
+    braking = stands_after.clamp(max=share)
+    left, rest = torch.exp(-braking / lag), share - braking
+    way = braked * braking + (start - braked) * lag * (1 - left)
+    end = torch.where(stands_after < share, torch.zeros_like(start), braked + (start - braked) * left)
+    gone_on = torch.exp(-rest / lag)
+    end = end * gone_on + target * (1 - gone_on)
+    way = way + target * (rest - lag * (1 - gone_on))
+    on_average, at_last = left_over(share, lag)
+    late = start - target
+    changes = way / share - target - late * on_average, end - target - late * at_last
+    on_average_too, at_last_too = (torch.where(opposed, change, torch.zeros_like(change)) for change in changes)
+    return on_average_too, at_last_too
 
 
 def _left_at_last(share: float, own_lags: Sequence[float], added_lag: float = 0.0) -> Tensor:

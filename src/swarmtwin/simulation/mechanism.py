@@ -84,8 +84,7 @@ class Moment:
         pose: (N, 3) true poses: x_mm, y_mm, heading_rad in the arena's frame.
         elapsed_s: (N,) since the session began.
         duration_s: (N,) of the period.
-        neighbours: (N, M, 3) the other vehicles in the vehicle's own frame: forward_mm, left_mm, turn_rad; NaN where
-            there is none.
+        neighbours: (N, M, 3) others in the vehicle's own frame: forward_mm, left_mm, turn_rad; NaN where there is none.
         neighbours_after: (N, M, 3) where they are at its end, in the same frame; None: not known, they stay.
         given: (N, m) the commands that the actuators are given in this period: None until the controller has passed
             them on, in the hooks of link and controller.
@@ -305,6 +304,10 @@ class Mechanism(StrictModel, ABC):
 
     def added_lag_s(self) -> float:
         """Return with which additional time constant the actuators follow, to first order."""
+        return 0.0
+
+    def wheel_friction_mm_s(self) -> float:
+        """Return by how much friction in their gears slows wheels that follow to first order."""
         return 0.0
 
     def share_of_transient(self) -> float:

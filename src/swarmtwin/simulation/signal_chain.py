@@ -174,7 +174,8 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
     transient_lag = sum(mechanism.transient_lag_s() for mechanism in mechanisms) / robot.period_s
     if transient_lag:  # a change that itself takes longer brings things about for longer
         transient_lag += added_lag
-    return Following(place, ends, latency, added_lag, transient, transient_lag)
+    friction = sum(mechanism.wheel_friction_mm_s() for mechanism in mechanisms) * robot.period_s
+    return Following(place, ends, latency, added_lag, transient, transient_lag, friction)
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:

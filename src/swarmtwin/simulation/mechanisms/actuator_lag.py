@@ -15,17 +15,20 @@ from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
 class Config(Mechanism):
     """Actuators follow to first order: what is left of the old speed decays with an additional `time_constant_s`.
 
-    Wheels: their speed lags, beyond the lag that the reference shows by itself. Or it changes evenly, as where a driver
-    limits the acceleration: a change by the robot's largest speed takes twice the time constant, and loses as much way
-    as with that; a smaller one less, by its square. Thrust: the setting of fin or propeller
-    lags, so that something between both commands holds for a while. A fin that is thrown from one mean angle to another
-    pushes the vehicle as it goes, which the reference holds, and less the slower it goes: by own / (own + added).
+    Wheels: their speed lags, beyond the lag that the reference shows by itself; where gears rub, those that stop or
+    turn back stand sooner. Or it changes evenly, as where a driver limits the acceleration: a change by the robot's
+    largest speed takes twice the time constant, and loses as much way as with that; a smaller one less, by its square.
+    Thrust: the setting of fin or propeller lags, so that something between both commands holds for a while. A fin that
+    is thrown from one mean angle to another pushes the vehicle as it goes, which the reference holds, and less the
+    slower it goes: by own / (own + added).
 
     Attributes:
         time_constant_s: the added one.
         own_time_constant_s: with which the setting of thrust follows in the reference; None: so slowly that an added
             lag leaves what a sudden change brings about as it was.
-        follows: which of the two.
+        friction_mm_s: by which speed a wheel is slower for the friction of its gear, in the reference as well; that of
+            cheap gear motors is a tenth to a third of their speed. None: it has none.
+        follows: to first order or evenly.
     """
 
     stage: ClassVar = "actuators"
@@ -41,6 +44,7 @@ class Config(Mechanism):
     name: Literal["actuator_lag"] = "actuator_lag"
     time_constant_s: float
     own_time_constant_s: float | None = None
+    friction_mm_s: float | None = None
     follows: Literal["exponentially", "evenly"] = "exponentially"
 
     @classmethod
@@ -55,18 +59,27 @@ class Config(Mechanism):
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
-        """Allow a period at most, and as much of thrust's own."""
+        """Allow a period at most, as much of thrust's own, and friction that takes a third of the largest speed."""
         period_s = robot.period_s
         begin = (0.1 * period_s, 0.35 * period_s)
         added = {"time_constant_s": Parameter(0.0, period_s, 0.0, "s", begin, 0.01 * period_s)}
-        if robot.actuation.kind != "thrust":
-            return added
+        if robot.actuation.kind == "wheel":
+            if conditions.track_mm is None or cls.usual_form()["follows"] == "evenly":
+                return added
+            largest_mm_s = robot.largest_displacement.forward_mm / period_s
+            begin = (0.1 * largest_mm_s,)
+            friction = Parameter(0.0, largest_mm_s / 3, None, "mm/s", begin, 0.01 * largest_mm_s, doubted_ends="none")
+            return {**added, "friction_mm_s": friction}
         own = Parameter(0.0, period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, doubted_ends="none")
         return {**added, "own_time_constant_s": own}
 
     def added_lag_s(self) -> float:
         """Return the time constant, if it follows to first order."""
         return self.time_constant_s if self.follows == "exponentially" else 0.0
+
+    def wheel_friction_mm_s(self) -> float:
+        """Return it, if wheels follow to first order."""
+        return self.friction_mm_s or 0.0 if self.added_lag_s() > 0 else 0.0
 
     def share_of_transient(self) -> float:
         """Return by what the speed of a change of setting falls."""
