@@ -140,6 +140,22 @@ def test_a_fin_that_follows_more_slowly_throws_the_vehicle_less(robots, own_s):
     torch.testing.assert_close(slower[:, 2] - plain[:, 2], -lost * base.recoil(situation)[:, 2], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("goes_on", [0.0, 0.25, 1.0])
+def test_a_hull_recoils_by_a_share_of_its_own_and_in_part_later(robots, goes_on):
+    robot = robots["mur"]
+    base = RecoilingDynamics(robot)
+    situation = situation_of(robot, np.random.default_rng(4))
+    lag = {"time_constant_s": 0.1, "own_time_constant_s": 0.05}
+    plain, slower = (
+        simulation_with(robot, dynamics=base, actuator_lag={**lag, **own}).predict(situation)
+        for own in ({"own_turn_time_constant_s": 1e12}, {"own_turn_time_constant_s": 0.3, "goes_on": goes_on})
+    )
+    lost, before = 0.1 / (0.1 + 0.3), replace(situation, command=situation.previous_command)
+    before = replace(before, previous_command=situation.earlier_command)
+    recoiled = lost * (goes_on * base.recoil(before) - base.recoil(situation))
+    torch.testing.assert_close(slower[:, 2] - plain[:, 2], recoiled[:, 2], rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize(("late", "lag"), [(0.25, 0.2), (0.5, 0.4), (1.0, 0.3)])
 def test_what_a_late_command_brings_about_goes_on_in_the_next_period(robots, late, lag):
     """A recoil that dies away exponentially: what is over by the period's end, and the rest of that before."""

@@ -141,7 +141,7 @@ def test_parameters_are_those_of_the_actuator(robots):
     assert set(fin) == {"travel_rad", "by_width", "servo_rad_s"}
     lag = mechanism_class("actuator_lag")
     assert set(lag.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"time_constant_s", "friction_mm_s"}
-    own = {"time_constant_s", "own_time_constant_s"}
+    own = {"time_constant_s", "own_time_constant_s", "own_turn_time_constant_s", "goes_on"}
     assert set(lag.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == own
     delay = mechanism_class("command_delay")
     assert set(delay.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"delay_s"}
@@ -170,7 +170,8 @@ def test_an_end_is_doubted_where_something_may_be_beyond_it(robots):
     assert doubted("mgr", "surface_patch")["loss"] == {-0.6}
     assert doubted("mgr", "surface_patch")["x_mm"] == set()  # there the arena ends
     assert doubted("mur", "backlash")["servo_rad_s"] == {21.0}  # no servo takes play up at once
-    assert doubted("mur", "actuator_lag") == {"time_constant_s": {0.8}, "own_time_constant_s": set()}
+    own = ("own_time_constant_s", "own_turn_time_constant_s", "goes_on")
+    assert doubted("mur", "actuator_lag") == {"time_constant_s": {0.8}} | {name: set() for name in own}
 
 
 def test_a_fin_with_play_steers_late_by_what_its_servo_needs_to_take_it_up(robots):

@@ -17,6 +17,7 @@ from swarmtwin.simulation.arcs import moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.mechanism import Moment
+from swarmtwin.simulation.transient import Transient
 
 Supply = Callable[[Tensor], Tensor]
 """What becomes of twists (N, 3) of actuators with their supply as it is."""
@@ -37,8 +38,7 @@ class Following(NamedTuple):
         ends: shares of the period at which its pieces end; the last is 1.
         latency: when the command begins to act.
         added_lag: time constant with which actuators follow it, beyond the lag that they have by themselves.
-        share_of_transient: what is left of what a sudden change of a setting brings about beyond steady motion.
-        transient_lag: time constant with which that dies away once the command acts; 0: at once.
+        transient: what is left of what a sudden change of a setting brings about beyond steady motion.
         friction: by which speed, mm a period, rolling wheels are slower for the friction of their gears.
     """
 
@@ -46,8 +46,7 @@ class Following(NamedTuple):
     ends: tuple[float, ...]
     latency: float
     added_lag: float
-    share_of_transient: float = 1.0
-    transient_lag: float = 0.0
+    transient: Transient = Transient()
     friction: float = 0.0
 
     @property
@@ -141,13 +140,14 @@ class Following(NamedTuple):
         if any(own_lags):
             undisturbed = composed(zip(self.shares, (piece + learned for piece in references), strict=True))
             correction = response - log_map(undisturbed)
-        acting, going_on = self._when_transients_act()
-        pieces = [piece + self.share_of_transient * act * learned for piece, act in zip(pieces, acting, strict=True)]
-        if any(going_on) and self.place + 2 < len(twists.roles):  # of the command before that nothing is known
+        shares = learned.new_tensor(self.transient.shares)
+        acting, going_on = self._when_transients_act(twists.moment.robot.period_s)
+        pieces = [piece + shares * act * learned for piece, act in zip(pieces, acting, strict=True)]
+        late = self.transient.goes_on * (1 - shares)
+        knows_before = self.place + 2 < len(twists.roles)  # of the command before that nothing is known
+        if knows_before and (any(going_on) or bool(late.any())):
             before = self._learned_before(twists, supply)
-            pieces = [
-                piece + self.share_of_transient * act * before for piece, act in zip(pieces, going_on, strict=True)
-            ]
+            pieces = [piece + (shares * act + late) * before for piece, act in zip(pieces, going_on, strict=True)]
         return pieces, correction, ActuatorTwists(twist, reference)
 
     def _by_friction(
@@ -164,21 +164,21 @@ class Following(NamedTuple):
         on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
         return on_average, at_last
 
-    def _when_transients_act(self) -> tuple[list[float], list[float]]:
+    def _when_transients_act(self, period_s: float) -> tuple[list[float], list[float]]:
         """Return how strong over each piece is what a change of command brings about: of the last one, of that before.
 
         Over a period from when the command begins to act on they average to 1. They fade from then on; or, where they
         die away at once, act over what the period has left.
         """
-        starts = [0.0, *self.ends[:-1]]
-        if not self.transient_lag:
+        starts, lag = [0.0, *self.ends[:-1]], self.transient.lag_s / period_s
+        if not lag:
             after = [float(end > self.latency) for end in self.ends] if self.latency < 1 else [1.0] * len(self.ends)
             held = sum(share * acts for share, acts in zip(self.shares, after, strict=True))
             return [acts / held for acts in after], [0.0] * len(after)
 
         def acted(since: float) -> float:
             since = min(max(since, 0.0), 1.0)
-            return math.expm1(-since / self.transient_lag) / math.expm1(-1 / self.transient_lag)
+            return math.expm1(-since / lag) / math.expm1(-1 / lag)
 
         def strengths(begins: float) -> list[float]:
             pieces = zip(starts, self.ends, self.shares, strict=True)

@@ -23,6 +23,7 @@ from swarmtwin.robot import Robot, SituationPart, StrictModel
 from swarmtwin.simulation import mechanisms
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.traction_score import LocalTractionScore
+from swarmtwin.simulation.transient import Transient
 
 Stage = Literal["link", "controller", "supply", "actuators", "ground", "body", "marker", "camera", "clock"]
 STAGES: tuple[Stage, ...] = get_args(Stage)
@@ -310,13 +311,9 @@ class Mechanism(StrictModel, ABC):
         """Return by how much friction in their gears slows wheels that follow to first order."""
         return 0.0
 
-    def share_of_transient(self) -> float:
-        """Return which share is left of what a sudden change of a setting brings about beyond steady motion."""
-        return 1.0
-
-    def transient_lag_s(self) -> float:
-        """Return the time constant with which that dies away in the reference; 0: it is over at once."""
-        return 0.0
+    def transient(self) -> Transient:
+        """Return what is left of what a sudden change of a setting brings about beyond steady motion."""
+        return Transient()
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
         """Return what it remembers (N, ...) of actuators that have long moved by `twist` (N, 3); None: nothing."""

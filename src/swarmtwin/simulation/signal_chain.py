@@ -5,7 +5,6 @@ that follow gradually, another ground) is integrated piece by piece over the mod
 the model's own answer stands. Twists are per nominal period: (N, 3) forward_mm, left_mm, turn_rad.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -20,6 +19,7 @@ from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.efforts import by_effort, scaled_by_effort, slowed
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
 from swarmtwin.simulation.mechanism import Mechanism, Moment
+from swarmtwin.simulation.transient import Transient
 
 Memory = Mapping[str, Tensor]
 TWIST, REFERENCE_TWIST, SETTING = "actuator twist", "reference's actuator twist", "actuator setting"
@@ -170,12 +170,11 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
     added_lag = sum(mechanism.added_lag_s() for mechanism in mechanisms) / robot.period_s
     inner = {share for mechanism in mechanisms for share in mechanism.breakpoints(robot)}
     ends = (*sorted(share for share in {*inner, latency} if 0.0 < share < 1.0), 1.0)
-    transient = math.prod(mechanism.share_of_transient() for mechanism in mechanisms)
-    transient_lag = sum(mechanism.transient_lag_s() for mechanism in mechanisms) / robot.period_s
-    if transient_lag:  # a change that itself takes longer brings things about for longer
-        transient_lag += added_lag
+    transient = Transient.combined(mechanism.transient() for mechanism in mechanisms)
+    if transient.lag_s:  # a change that itself takes longer brings things about for longer
+        transient = transient._replace(lag_s=transient.lag_s + added_lag * robot.period_s)
     friction = sum(mechanism.wheel_friction_mm_s() for mechanism in mechanisms) * robot.period_s
-    return Following(place, ends, latency, added_lag, transient, transient_lag, friction)
+    return Following(place, ends, latency, added_lag, transient, friction)
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:

@@ -10,6 +10,7 @@ from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.mechanism import Mechanism, Moment, Parameter
+from swarmtwin.simulation.transient import Transient
 
 
 class Config(Mechanism):
@@ -19,13 +20,16 @@ class Config(Mechanism):
     turn back stand sooner. Or it changes evenly, as where a driver limits the acceleration: a change by the robot's
     largest speed takes twice the time constant, and loses as much way as with that; a smaller one less, by its square.
     Thrust: the setting of fin or propeller lags, so that something between both commands holds for a while. A fin that
-    is thrown from one mean angle to another pushes the vehicle as it goes, which the reference holds, and less the
-    slower it goes: by own / (own + added).
+    is thrown from one mean angle to another pushes and turns the vehicle as it goes, which the reference holds: less
+    the slower it goes, by own / (own + added), and in part in the next period only.
 
     Attributes:
         time_constant_s: the added one.
-        own_time_constant_s: with which the setting of thrust follows in the reference; None: so slowly that an added
-            lag leaves what a sudden change brings about as it was.
+        own_time_constant_s: of how a sudden change of thrust's setting pushes in the reference, ahead and to the side;
+            None: so long that an added lag leaves this as it was.
+        own_turn_time_constant_s: likewise of how it turns the vehicle: a hull that recoils from a fin may do so by as
+            much, however slowly that is thrown. None: the same.
+        goes_on: which share of what that lacks comes in the next period; None: none of it.
         friction_mm_s: by which speed a wheel is slower for the friction of its gear, in the reference as well; that of
             cheap gear motors is a tenth to a third of their speed. None: it has none.
         follows: to first order or evenly.
@@ -44,6 +48,8 @@ class Config(Mechanism):
     name: Literal["actuator_lag"] = "actuator_lag"
     time_constant_s: float
     own_time_constant_s: float | None = None
+    own_turn_time_constant_s: float | None = None
+    goes_on: float | None = None
     friction_mm_s: float | None = None
     follows: Literal["exponentially", "evenly"] = "exponentially"
 
@@ -59,7 +65,7 @@ class Config(Mechanism):
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
-        """Allow a period at most, as much of thrust's own, and friction that takes a third of the largest speed."""
+        """Allow a period at most, two of thrust's own, and friction that takes a third of the largest speed."""
         period_s = robot.period_s
         begin = (0.1 * period_s, 0.35 * period_s)
         added = {"time_constant_s": Parameter(0.0, period_s, 0.0, "s", begin, 0.01 * period_s)}
@@ -70,8 +76,9 @@ class Config(Mechanism):
             begin = (0.1 * largest_mm_s,)
             friction = Parameter(0.0, largest_mm_s / 3, None, "mm/s", begin, 0.01 * largest_mm_s, doubted_ends="none")
             return {**added, "friction_mm_s": friction}
-        own = Parameter(0.0, period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, doubted_ends="none")
-        return {**added, "own_time_constant_s": own}
+        own = Parameter(0.0, 2 * period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, doubted_ends="none")
+        goes_on = Parameter(0.0, 1.0, None, "", (0.25,), 0.02, doubted_ends="none")
+        return {**added, "own_time_constant_s": own, "own_turn_time_constant_s": own, "goes_on": goes_on}
 
     def added_lag_s(self) -> float:
         """Return the time constant, if it follows to first order."""
@@ -81,11 +88,15 @@ class Config(Mechanism):
         """Return it, if wheels follow to first order."""
         return self.friction_mm_s or 0.0 if self.added_lag_s() > 0 else 0.0
 
-    def share_of_transient(self) -> float:
-        """Return by what the speed of a change of setting falls."""
-        if self.own_time_constant_s is None or self.time_constant_s <= 0:
-            return 1.0
-        return self.own_time_constant_s / (self.own_time_constant_s + self.time_constant_s)
+    def transient(self) -> Transient:
+        """Let a change of setting bring about less, and later, the slower it is."""
+        way_s, turn_s = self.own_time_constant_s, self.own_turn_time_constant_s
+        turn_s = way_s if turn_s is None else turn_s
+        way, turn = (
+            1.0 if own_s is None or self.time_constant_s <= 0 else own_s / (own_s + self.time_constant_s)
+            for own_s in (way_s, turn_s)
+        )
+        return Transient((way, way, turn), self.goes_on or 0.0)
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
         """Return how fast each wheel rolls, mm a period, (N, 2), if it speeds up evenly."""

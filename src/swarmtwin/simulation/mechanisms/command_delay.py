@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
+from swarmtwin.simulation.transient import Transient
 
 
 class Config(Mechanism):
@@ -45,6 +46,6 @@ class Config(Mechanism):
         """Return the delay."""
         return self.delay_s
 
-    def transient_lag_s(self) -> float:
-        """Return the time constant of what a change of setting brings about."""
-        return self.transient_time_constant_s or 0.0
+    def transient(self) -> Transient:
+        """Let what a change of setting brings about die away as slowly."""
+        return Transient(lag_s=self.transient_time_constant_s or 0.0)
