@@ -5,7 +5,7 @@ import pytest
 from exact_base import ExactBase, known_noise, session_of
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.random_effects import RandomEffects, form_effects, unit_effects
+from swarmtwin.diagnosis.random_effects import RandomEffects, doubts, form_effects, unit_effects
 from swarmtwin.simulation.mechanism import mechanism_class
 
 COUNT = 20
@@ -87,16 +87,35 @@ def test_units_with_wheels_do_not_differ_by_where_they_are(robots):
 
 
 @pytest.mark.parametrize(
-    ("robot", "of_values", "share", "axes"),
-    [("mgr", False, 0.05, {0, 2}), ("mgr", True, 0.1, {0, 1, 2}), ("mur", False, 0.1, {0, 1, 2})],
+    ("robot", "cause", "of_values", "share", "axes"),
+    [
+        ("mgr", {"actuator_lag": {"time_constant_s": 0.1}}, True, 0.05, {0, 2}),
+        ("mgr", {"backlash": {"travel_mm": 3.0}}, False, 0.05, {0, 2}),
+        ("mgr", {"backlash": {"travel_mm": 3.0}}, True, 0.1, {0, 1, 2}),
+        ("mur", {"actuator_lag": {"time_constant_s": 0.1}}, False, 0.1, {0, 1, 2}),
+    ],
 )
-def test_how_thrust_follows_is_known_least_as_are_the_values_of_wheels(robots, robot, of_values, share, axes):
+def test_how_thrust_follows_is_known_least_as_is_how_wide_play_is(robots, robot, cause, of_values, share, axes):
     base = ExactBase(robots[robot])
     session = session_of(base, np.random.default_rng(2))
     model = SessionLikelihood(base, known_noise(), session)
-    late = [mechanism_class("actuator_lag").at({"time_constant_s": 0.1})]
+    late = [mechanism_class(name).at(values) for name, values in cause.items()]
     change = model.errors(late) - model.errors([])
     alone = list(form_effects(model, late, of_values=of_values))[-len(axes) :]
     for axis, form in zip(sorted(axes), alone, strict=True):
         np.testing.assert_allclose(form[:, axis], share * change[:, axis])
         assert not np.delete(form, axis, axis=1).any()
+
+
+def test_how_much_of_its_own_way_a_fin_loses_is_doubted_and_shortens_its_lag(robots):
+    base = ExactBase(robots["mur"])
+    session = session_of(base, np.random.default_rng(2))
+    model = SessionLikelihood(base, known_noise(), session)
+    values = {"time_constant_s": 0.1, "own_time_constant_s": 0.1, "own_turn_time_constant_s": 0.3}
+    lag = mechanism_class("actuator_lag").at(values)
+    (doubt,) = doubts(model, [lag])
+    lost_s = (0.5 + 0.25) / 2 * 0.05
+    shorter = mechanism_class("actuator_lag").at({name: (1 - lost_s / 0.1) * value for name, value in values.items()})
+    assert shorter.transient().shares == pytest.approx(lag.transient().shares)
+    np.testing.assert_allclose(doubt, model.errors([shorter]) - model.errors([lag]), rtol=0, atol=1e-9)
+    assert not list(doubts(model, [mechanism_class("actuator_lag").at({"time_constant_s": 0.1})]))

@@ -8,6 +8,7 @@ from exact_model import ExactDynamics, conditions_of, simulation_with, situation
 from swarmtwin.geometry import compose, exp_map, log_map
 from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.conditions import SessionConditions
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.following_actuators import _relaxed_twist, left_over, stopped_by_friction
 
 
@@ -89,6 +90,29 @@ def test_the_lag_of_wheels_is_that_of_way_and_turn(robots):
     robot = robots["mgr"]
     conditions = with_actuation(conditions_of(robot), WheelsThatErrAside(robot), seed=1)
     assert conditions.own_lags == pytest.approx((0.1, 0.1, 0.1), abs=1e-6)
+
+
+class RubbingWheels(ExactDynamics):
+    """Wheels that follow with a lag, and friction in their gears."""
+
+    inputs = ("command", "previous_command")
+    lag, friction_mm = 0.08, 6.0
+
+    def predict(self, situation):
+        new, old = (self.twist(one.double()) for one in (situation.command, situation.previous_command))
+        track_mm = conditions_of(self.robot).track_mm
+        rolling = (wheel_travel(twist, track_mm) for twist in (old, new))
+        sooner, _ = stopped_by_friction(*rolling, self.friction_mm, self.lag, 1.0)
+        on_average = twist_of_wheels(sooner, torch.zeros_like(new), track_mm)
+        return exp_map(new + left_over(1.0, self.lag)[0] * (old - new) + on_average)
+
+
+def test_friction_in_gears_is_read_from_how_wheels_stop(robots):
+    robot = robots["mgr"]
+    conditions = with_actuation(conditions_of(robot), RubbingWheels(robot), seed=1)
+    assert conditions.gear_friction_mm_s == pytest.approx(RubbingWheels.friction_mm / robot.period_s, rel=1e-4)
+    assert conditions.own_lags == pytest.approx((RubbingWheels.lag,) * 3, rel=1e-4)
+    assert with_actuation(conditions_of(robot), WheelsThatErrAside(robot), seed=1).gear_friction_mm_s == 0
 
 
 class KickedHull(ExactDynamics):

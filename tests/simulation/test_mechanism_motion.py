@@ -94,7 +94,8 @@ def test_a_wheel_whose_gear_rubs_loses_less_way_to_a_lag_where_it_stops_or_turns
     full_mm = float(ExactDynamics(robot).twist(situation.previous_command)[0, 0])
     friction_mm = 0.1 * full_mm
     plain, simulated = moved(robot, "actuator_lag", situation, **lag)
-    rubbing, _ = moved(robot, "actuator_lag", situation, **lag, friction_mm_s=friction_mm / robot.period_s)
+    shown = conditions_of(robot, gear_friction_mm_s=friction_mm / robot.period_s)
+    rubbing = simulation_with(robot, conditions=shown, actuator_lag=lag).predict(situation)
     goes_on, stopped, turned_back = ((rubbing - simulated)[:, 0] / (plain - simulated)[:, 0]).tolist()
     assert goes_on == pytest.approx(1.0)
     assert stopped == pytest.approx(1 - friction_mm / full_mm * math.log1p(full_mm / friction_mm), abs=2e-3)

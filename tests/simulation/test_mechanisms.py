@@ -140,7 +140,7 @@ def test_parameters_are_those_of_the_actuator(robots):
     fin = backlash.parameters_of(robots["mur"], conditions_of(robots["mur"]))
     assert set(fin) == {"travel_rad", "by_width", "servo_rad_s"}
     lag = mechanism_class("actuator_lag")
-    assert set(lag.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"time_constant_s", "friction_mm_s"}
+    assert set(lag.parameters_of(robots["mgr"], conditions_of(robots["mgr"]))) == {"time_constant_s"}
     own = {"time_constant_s", "own_time_constant_s", "own_turn_time_constant_s", "goes_on"}
     assert set(lag.parameters_of(robots["mur"], conditions_of(robots["mur"]))) == own
     delay = mechanism_class("command_delay")

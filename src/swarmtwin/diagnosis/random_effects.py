@@ -271,6 +271,14 @@ def form_effects(
             yield from other_forms(one, change, functions, model.robot, model.settings.likelihood, of_values)
 
 
+def doubts(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Iterator[np.ndarray]:
+    """Yield (N, 3) by what errors change if a mechanism is what it may be as well, one after the other."""
+    for one in mechanisms:
+        others = [other for other in mechanisms if other is not one]
+        for other in one.as_well():
+            yield model.errors_near([*others, other], mechanisms) - model.errors(mechanisms)
+
+
 def other_forms(
     mechanism: Mechanism,
     change: np.ndarray,
@@ -281,11 +289,11 @@ def other_forms(
 ) -> Iterator[np.ndarray]:
     """Yield (N, 3) by what another form of a mechanism may differ, which changes (N, 3) of motion, by functions (N, q).
 
-    How actuators of thrust follow is known least: their forms differ by more, and to the side as well. So do those of
-    wheels where it is the values' intervals that they are for: a motor under load brakes otherwise than it speeds up.
+    How actuators of thrust follow is known least: their forms differ by more, and to the side as well. So does that of
+    play in wheels' gears where it is the values' intervals that they are for: a motor without its wheel runs faster.
     """
-    is_known_least = robot.actuation.kind == "thrust" or (of_values and mechanism.stage == "actuators")
-    is_rough = mechanism.says_when and is_known_least
+    of_thrust = robot.actuation.kind == "thrust" and mechanism.says_when
+    is_rough = of_thrust or (of_values and mechanism.is_known_roughly)
     share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
     for function in functions[:, 1:].T:
         yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)

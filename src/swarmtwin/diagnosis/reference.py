@@ -241,8 +241,8 @@ class Reference:
     def conditions_for(self, transitions: Transitions) -> SessionConditions:
         """Return the conditions of another session of this robot."""
         own = self.session.conditions
-        known = {name: getattr(own, name) for name in ("track_mm", "own_lags", "effort_exponents", "clearance_mm")}
-        return conditions_of(transitions).model_copy(update=known)
+        names = ("track_mm", "own_lags", "gear_friction_mm_s", "effort_exponents", "clearance_mm")
+        return conditions_of(transitions).model_copy(update={name: getattr(own, name) for name in names})
 
     def covers(self, commands: np.ndarray) -> np.ndarray:
         """Say which commands (N, m) the reference covers: it has enough others about as near as its own are, (N,)."""

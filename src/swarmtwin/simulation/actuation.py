@@ -1,4 +1,4 @@
-"""What a dynamics model shows of its robot's actuators: distance of the wheels, own lag, growth with speed.
+"""What a dynamics model shows of its robot's actuators: distance of the wheels, own lag, friction, growth with speed.
 
 Nothing here comes from the robot's file or from a stand-in: the model is asked for commands and its answers are read.
 """
@@ -16,7 +16,8 @@ from swarmtwin.geometry import log_map
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
-from swarmtwin.simulation.following_actuators import left_over
+from swarmtwin.simulation.efforts import wheel_travel
+from swarmtwin.simulation.following_actuators import left_over, stopped_by_friction
 
 
 class TrialCommands(NamedTuple):
@@ -39,9 +40,12 @@ class TrialCommands(NamedTuple):
 def with_actuation(conditions: SessionConditions, dynamics: DynamicsModel, seed: int) -> SessionConditions:
     """Return session conditions with what a dynamics model shows of its actuators."""
     trial = TrialCommands.draw(dynamics.robot, conditions, seed)
+    track_mm = _track_mm(dynamics, trial)
+    own_lags, friction_mm_s = _following(dynamics, trial, track_mm)
     learned = {
-        "track_mm": _track_mm(dynamics, trial),
-        "own_lags": _own_lags(dynamics, trial),
+        "track_mm": track_mm,
+        "own_lags": own_lags,
+        "gear_friction_mm_s": friction_mm_s,
         "effort_exponents": _effort_exponents(dynamics, trial),
     }
     return conditions.model_copy(update=learned)
@@ -83,25 +87,56 @@ def _track_mm(dynamics: DynamicsModel, trial: TrialCommands) -> float | None:
     return track_mm if track_mm > 0 else None
 
 
-def _own_lags(dynamics: DynamicsModel, trial: TrialCommands, longest: float = 1.0) -> tuple[float, float, float]:
-    """Return the time constants in periods with which motion follows by itself: what a change of command leaves of it.
+def _following(
+    dynamics: DynamicsModel, trial: TrialCommands, track_mm: float | None, longest: float = 1.0
+) -> tuple[tuple[float, float, float], float]:
+    """Return time constants in periods with which motion follows by itself, and the friction in wheels' gears, mm/s.
 
     Of thrust each axis has its own: a hull may turn at once and gather way slowly. Wheels have one, of way and turn
     alike: aside they bring a vehicle next to nowhere, and how that follows is the error of the model. Where the model
     looks at velocity, that tells it of the old twist, and there is no lag beside it.
     """
     if "previous_command" not in dynamics.inputs or "velocity" in dynamics.inputs:
-        return 0.0, 0.0, 0.0
+        return (0.0, 0.0, 0.0), 0.0
     now = _twist(dynamics, trial.command, trial.previous_command, trial.pose)
     steady = _twist(dynamics, trial.command, trial.command, trial.pose)
-    late = _twist(dynamics, trial.previous_command, trial.previous_command, trial.pose) - steady
+    before = _twist(dynamics, trial.previous_command, trial.previous_command, trial.pose)
+    late = before - steady
     size = late.std(dim=0).clamp(min=1e-9)
     along, squares = ((now - steady) * late / size**2).sum(dim=0), (late**2 / size**2).sum(dim=0).clamp(min=1e-9)
     left = along / squares
-    if dynamics.robot.actuation.kind != "thrust":
-        left = (along[[0, 2]].sum() / squares[[0, 2]].sum()).expand(3)
-    forward, aside, turn = (_lag_that_leaves(float(share), longest) for share in left)
-    return forward, aside, turn
+    if dynamics.robot.actuation.kind == "thrust":
+        forward, aside, turn = (_lag_that_leaves(float(share), longest) for share in left)
+        return (forward, aside, turn), 0.0
+    lag = _lag_that_leaves(float(along[[0, 2]].sum() / squares[[0, 2]].sum()), longest)
+    if not track_mm or lag <= 0:
+        return (lag, lag, lag), 0.0
+    lag, friction = _rubbing(*(wheel_travel(twist, track_mm) for twist in (now, steady, before)), lag)
+    return (lag, lag, lag), friction / dynamics.robot.period_s
+
+
+def _rubbing(now: Tensor, steady: Tensor, before: Tensor, lag: float) -> tuple[float, float]:
+    """Return the time constant in periods, and the friction in mm a period, by which wheels follow best.
+
+    Args:
+        now: (N, 2) how far they roll in the period of a new command, mm.
+        steady: (N, 2) under that command for long.
+        before: (N, 2) under the one before.
+        lag: without friction.
+    """
+
+    def errors(values: np.ndarray) -> np.ndarray:
+        lag, friction = map(float, values)
+        predicted = steady + (before - steady) * left_over(1.0, lag)[0]
+        if friction > 0:
+            predicted = predicted + stopped_by_friction(before, steady, friction, lag, 1.0)[0]
+        return (predicted - now).ravel().numpy()
+
+    fastest = float(steady.abs().max())
+    limits = ([0.1 * lag, 0.0], [10 * lag, fastest / 3])
+    fitted = optimize.least_squares(errors, [lag, 0.05 * fastest], bounds=limits, x_scale=[lag, 0.05 * fastest])
+    following, friction = map(float, fitted.x)
+    return (following, friction) if friction > 1e-3 * fastest else (lag, 0.0)
 
 
 def _lag_that_leaves(share: float, longest: float) -> float:

@@ -21,6 +21,8 @@ class SessionConditions(StrictModel):
         track_mm: distance between left and right wheel; null for robots without such.
         own_lags: time constants, in control periods, with which the motion (forward, left, turn) follows by itself; 0
             where the dynamics model does not look at the previous command.
+        gear_friction_mm_s: by which speed wheels are slower for friction in their gears: as those show it that stop or
+            turn back. 0 where none is seen.
         effort_exponents: of thrust, the power of the actuators' effort with which motion (forward, left, turn) grows,
             as the dynamics model shows it; 1 for wheels.
         clearance_mm: how near vehicles come to walls that they face, and to walls that they lie along; null where
@@ -31,6 +33,7 @@ class SessionConditions(StrictModel):
     session_s: Positive
     track_mm: Annotated[float, Field(gt=0)] | None = None
     own_lags: tuple[Lag, Lag, Lag] = (0.0, 0.0, 0.0)
+    gear_friction_mm_s: Annotated[float, Field(ge=0)] = 0.0
     effort_exponents: tuple[Exponent, Exponent, Exponent] = (1.0, 1.0, 1.0)
     clearance_mm: tuple[float, float] | None = None
 

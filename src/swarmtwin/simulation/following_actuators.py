@@ -39,7 +39,6 @@ class Following(NamedTuple):
         latency: when the command begins to act.
         added_lag: time constant with which actuators follow it, beyond the lag that they have by themselves.
         transient: what is left of what a sudden change of a setting brings about beyond steady motion.
-        friction: by which speed, mm a period, rolling wheels are slower for the friction of their gears.
     """
 
     place: int
@@ -47,7 +46,6 @@ class Following(NamedTuple):
     latency: float
     added_lag: float
     transient: Transient = Transient()
-    friction: float = 0.0
 
     @property
     def shares(self) -> list[float]:
@@ -154,13 +152,13 @@ class Following(NamedTuple):
         self, start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
     ) -> tuple[Tensor, Tensor]:
         """Return what friction changes in the twists (N, 3) of wheels over a piece: on average, and at last."""
-        ahead, _, turn = moment.conditions.own_lags
-        lag = (ahead + turn) / 2 + added_lag
-        if self.friction <= 0 or lag <= 0:
+        friction = moment.conditions.gear_friction_mm_s * moment.robot.period_s
+        lag = moment.conditions.own_lags[0] + added_lag
+        if friction <= 0 or lag <= 0:
             nothing = torch.zeros_like(target)
             return nothing, nothing
         rolling = (wheel_travel(twist, moment.track_mm) for twist in (start, target))
-        stopped = stopped_by_friction(*rolling, self.friction, lag, share)
+        stopped = stopped_by_friction(*rolling, friction, lag, share)
         on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
         return on_average, at_last
 

@@ -184,6 +184,7 @@ class Mechanism(StrictModel, ABC):
             commands before, where it has memory or a delay.
         says_when: whether it says how late, or how gradually, actuators follow a command.
         is_smooth: whether the motion changes gradually with the parameters.
+        is_known_roughly: whether nobody knows well how it acts on wheels, so that its values' intervals allow for more.
         is_arrival_alone: whether it decides that commands arrive and nothing else: known what arrived, it does nothing.
         place_in_stage: of several in a stage, those of smaller numbers act first, those of the same one by name.
     """
@@ -195,6 +196,7 @@ class Mechanism(StrictModel, ABC):
     inputs: ClassVar[tuple[SituationPart, ...]] = ()
     says_when: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
+    is_known_roughly: ClassVar[bool] = False
     is_arrival_alone: ClassVar[bool] = False
     place_in_stage: ClassVar[int] = 0
 
@@ -277,6 +279,10 @@ class Mechanism(StrictModel, ABC):
         """Return its parameters as a diagnosis reports them; the same as `values` unless said otherwise."""
         return self.values()
 
+    def as_well(self) -> Sequence["Mechanism"]:
+        """Return what it may as well be, a standard deviation away, since how it acts is known no better."""
+        return ()
+
     # link
 
     def arrival_probability(self) -> float:
@@ -305,10 +311,6 @@ class Mechanism(StrictModel, ABC):
 
     def added_lag_s(self) -> float:
         """Return with which additional time constant the actuators follow, to first order."""
-        return 0.0
-
-    def wheel_friction_mm_s(self) -> float:
-        """Return by how much friction in their gears slows wheels that follow to first order."""
         return 0.0
 
     def transient(self) -> Transient:

@@ -173,8 +173,7 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
     transient = Transient.combined(mechanism.transient() for mechanism in mechanisms)
     if transient.lag_s:  # a change that itself takes longer brings things about for longer
         transient = transient._replace(lag_s=transient.lag_s + added_lag * robot.period_s)
-    friction = sum(mechanism.wheel_friction_mm_s() for mechanism in mechanisms) * robot.period_s
-    return Following(place, ends, latency, added_lag, transient, friction)
+    return Following(place, ends, latency, added_lag, transient)
 
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:

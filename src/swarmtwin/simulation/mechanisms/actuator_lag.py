@@ -1,7 +1,7 @@
 """Speed follows the command gradually: tired motors, a slow controller."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal
 
 from torch import Tensor
@@ -17,11 +17,12 @@ class Config(Mechanism):
     """Actuators follow to first order: what is left of the old speed decays with an additional `time_constant_s`.
 
     Wheels: their speed lags, beyond the lag that the reference shows by itself; where gears rub, those that stop or
-    turn back stand sooner. Or it changes evenly, as where a driver limits the acceleration: a change by the robot's
-    largest speed takes twice the time constant, and loses as much way as with that; a smaller one less, by its square.
-    Thrust: the setting of fin or propeller lags, so that something between both commands holds for a while. A fin that
-    is thrown from one mean angle to another pushes and turns the vehicle as it goes, which the reference holds: less
-    the slower it goes, by own / (own + added), and in part in the next period only.
+    turn back stand sooner, by the friction that the reference shows. Or it changes evenly, as where a driver limits the
+    acceleration: a change by the robot's largest speed takes twice the time constant, and loses as much way as with
+    that; a smaller one less, by its square. Thrust: the setting of fin or propeller lags, so that something between
+    both commands holds for a while. A fin that is thrown from one mean angle to another pushes and turns the vehicle as
+    it goes, which the reference holds: less the slower it goes, by own / (own + added), and in part in the next period
+    only.
 
     Attributes:
         time_constant_s: the added one.
@@ -30,8 +31,6 @@ class Config(Mechanism):
         own_turn_time_constant_s: likewise of how it turns the vehicle: a hull that recoils from a fin may do so by as
             much, however slowly that is thrown. None: the same.
         goes_on: which share of what that lacks comes in the next period; None: none of it.
-        friction_mm_s: by which speed a wheel is slower for the friction of its gear, in the reference as well; that of
-            cheap gear motors is a tenth to a third of their speed. None: it has none.
         follows: to first order or evenly.
     """
 
@@ -50,7 +49,6 @@ class Config(Mechanism):
     own_time_constant_s: float | None = None
     own_turn_time_constant_s: float | None = None
     goes_on: float | None = None
-    friction_mm_s: float | None = None
     follows: Literal["exponentially", "evenly"] = "exponentially"
 
     @classmethod
@@ -65,17 +63,12 @@ class Config(Mechanism):
 
     @classmethod
     def parameters_of(cls, robot: Robot, conditions: SessionConditions) -> Mapping[str, Parameter]:
-        """Allow a period at most, two of thrust's own, and friction that takes a third of the largest speed."""
+        """Allow a period at most, and two of thrust's own."""
         period_s = robot.period_s
         begin = (0.1 * period_s, 0.35 * period_s)
         added = {"time_constant_s": Parameter(0.0, period_s, 0.0, "s", begin, 0.01 * period_s)}
-        if robot.actuation.kind == "wheel":
-            if conditions.track_mm is None or cls.usual_form()["follows"] == "evenly":
-                return added
-            largest_mm_s = robot.largest_displacement.forward_mm / period_s
-            begin = (0.1 * largest_mm_s,)
-            friction = Parameter(0.0, largest_mm_s / 3, None, "mm/s", begin, 0.01 * largest_mm_s, doubted_ends="none")
-            return {**added, "friction_mm_s": friction}
+        if robot.actuation.kind != "thrust":
+            return added
         own = Parameter(0.0, 2 * period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, doubted_ends="none")
         goes_on = Parameter(0.0, 1.0, None, "", (0.25,), 0.02, doubted_ends="none")
         return {**added, "own_time_constant_s": own, "own_turn_time_constant_s": own, "goes_on": goes_on}
@@ -83,10 +76,6 @@ class Config(Mechanism):
     def added_lag_s(self) -> float:
         """Return the time constant, if it follows to first order."""
         return self.time_constant_s if self.follows == "exponentially" else 0.0
-
-    def wheel_friction_mm_s(self) -> float:
-        """Return it, if wheels follow to first order."""
-        return self.friction_mm_s or 0.0 if self.added_lag_s() > 0 else 0.0
 
     def transient(self) -> Transient:
         """Let a change of setting bring about less, and later, the slower it is."""
@@ -97,6 +86,20 @@ class Config(Mechanism):
             for own_s in (way_s, turn_s)
         )
         return Transient((way, way, turn), self.goes_on or 0.0)
+
+    def as_well(self) -> Sequence[Mechanism]:
+        """Doubt how much of what a change of setting brings about is the fin's own way, of which a lag takes nothing.
+
+        As little as is then lost of it looks like a shorter lag. Servos are sold with 0.05 to 0.26 s for 60 degrees, of
+        which most changes are a half.
+        """
+        way, _, turn = self.transient().shares
+        lost_s = (1 - (way + turn) / 2) * 0.05
+        if lost_s <= 0:
+            return ()
+        shorter = max(1 - lost_s / self.time_constant_s, 0.0)
+        own = {name: value * shorter for name, value in self.values().items() if name.endswith("time_constant_s")}
+        return [self.model_copy(update=own)]
 
     def initial_memory(self, twist: Tensor, moment: Moment) -> Tensor | None:
         """Return how fast each wheel rolls, mm a period, (N, 2), if it speeds up evenly."""
