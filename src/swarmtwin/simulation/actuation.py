@@ -111,7 +111,8 @@ def _following(
     lag = _lag_that_leaves(float(along[[0, 2]].sum() / squares[[0, 2]].sum()), longest)
     if not track_mm or lag <= 0:
         return (lag, lag, lag), 0.0
-    lag, friction = _rubbing(*(wheel_travel(twist, track_mm) for twist in (now, steady, before)), lag)
+    rolled, rolls, rolled_before = (wheel_travel(twist, track_mm) for twist in (now, steady, before))
+    lag, friction = _rubbing(rolled, rolls, rolled_before, lag)
     return (lag, lag, lag), friction / dynamics.robot.period_s
 
 

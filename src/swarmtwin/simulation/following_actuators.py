@@ -157,8 +157,8 @@ class Following(NamedTuple):
         if friction <= 0 or lag <= 0:
             nothing = torch.zeros_like(target)
             return nothing, nothing
-        rolling = (wheel_travel(twist, moment.track_mm) for twist in (start, target))
-        stopped = stopped_by_friction(*rolling, friction, lag, share)
+        rolling, aimed = wheel_travel(start, moment.track_mm), wheel_travel(target, moment.track_mm)
+        stopped = stopped_by_friction(rolling, aimed, friction, lag, share)
         on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
         return on_average, at_last
 
