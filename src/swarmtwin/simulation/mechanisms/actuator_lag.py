@@ -30,7 +30,8 @@ class Config(Mechanism):
             None: so long that an added lag leaves this as it was.
         own_turn_time_constant_s: likewise of how it turns the vehicle: a hull that recoils from a fin may do so by as
             much, however slowly that is thrown. None: the same.
-        goes_on: which share of what that lacks comes in the next period; None: none of it.
+        goes_on: which share of what that lacks comes in the next period: a quarter at most, as much as is left of what
+            dies away with a time constant of three quarters of a period. None: none of it.
         follows: to first order or evenly.
     """
 
@@ -70,7 +71,7 @@ class Config(Mechanism):
         if robot.actuation.kind != "thrust":
             return added
         own = Parameter(0.0, 2 * period_s, None, "s", (0.25 * period_s,), 0.01 * period_s, doubted_ends="none")
-        goes_on = Parameter(0.0, 1.0, None, "", (0.25,), 0.02, doubted_ends="none")
+        goes_on = Parameter(0.0, 0.25, None, "", (0.1,), 0.02, doubted_ends="none")
         return {**added, "own_time_constant_s": own, "own_turn_time_constant_s": own, "goes_on": goes_on}
 
     def added_lag_s(self) -> float:
