@@ -197,7 +197,8 @@ class SessionLikelihood(SessionErrors):
         """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
         larger = self.settings.estimation.form / self.settings.likelihood.form
         forms = self._forms(mechanisms, is_quick, of_values=True) * larger
-        return self._whitened(np.concatenate([forms, *(one[..., None] for one in doubts(self, mechanisms))], axis=-1))
+        doubted = [self.settings.estimation.doubts * one[..., None] for one in doubts(self, mechanisms)]
+        return self._whitened(np.concatenate([forms, *doubted], axis=-1))
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""

@@ -162,6 +162,8 @@ class EstimationSettings(StrictModel):
         clock_bootstraps: resamples of the runs for what is read off the clock.
         form: as `likelihood.form`, for intervals: a form that is wrong by a seventh of its effect, whose square is
             `search.least_share_beside`.
+        doubts: standard deviations of what a mechanism may be as well that intervals allow for: of how much of its own
+            way a fin loses, which nobody knows but by what servos are sold with.
     """
 
     rounds: Count = 8
@@ -173,6 +175,7 @@ class EstimationSettings(StrictModel):
     draws: Count = 1000
     clock_bootstraps: Count = 200
     form: Positive = 0.14
+    doubts: NonNegative = 1.0
 
 
 class SearchSettings(StrictModel):
