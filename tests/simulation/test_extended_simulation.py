@@ -183,7 +183,7 @@ def test_a_folder_of_an_earlier_version_still_loads(robots, tmp_path):
     path = tmp_path / "model.yaml"
     description = yaml.safe_load(path.read_text())
     del description["model"]["motion_noise"]
-    for unknown in ("own_lags", "effort_exponents"):
+    for unknown in ("own_lags", "gear_friction_mm_s", "effort_exponents"):
         description["model"]["surroundings"].pop(unknown)
     description["model"] |= {"learning_rate": 1.0, "steps": 1}
     path.write_text(yaml.safe_dump(description))
@@ -194,13 +194,14 @@ def test_a_folder_of_an_earlier_version_still_loads(robots, tmp_path):
 
 
 @pytest.mark.parametrize("dynamics", [ExactDynamics, LaggingDynamics])
-@pytest.mark.parametrize("robot", ["mgr", "mur"])
-def test_one_step_from_a_measured_situation_is_a_step_of_the_state(robots, robot, dynamics):
+@pytest.mark.parametrize(("robot", "friction_mm_s"), [("mgr", 0.0), ("mgr", 8.0), ("mur", 0.0)])
+def test_one_step_from_a_measured_situation_is_a_step_of_the_state(robots, robot, friction_mm_s, dynamics):
     """With memory carried through the commands before, from the same pose."""
     robot = robots[robot]
     travel = {"travel_mm": 3.0} if robot.actuation.kind == "wheel" else {"travel_rad": 0.1}
     chosen = {"command_delay": {"delay_s": 0.1}, "actuator_lag": {"time_constant_s": 0.06}, "backlash": travel}
-    simulation = simulation_with(robot, dynamics(robot), conditions_of(robot, own_lags=(0.1,) * 3), **chosen)
+    shown = conditions_of(robot, own_lags=(0.1,) * 3, gear_friction_mm_s=friction_mm_s)
+    simulation = simulation_with(robot, dynamics(robot), shown, **chosen)
     situation = situation_of(robot, np.random.default_rng(4))
     state = simulation.start(situation.pose[:, None])
     for command in (situation.earlier_command,) * 12 + (situation.previous_command,):

@@ -17,7 +17,7 @@ from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise, log_density
 from swarmtwin.diagnosis.random_effects import (
     RandomEffects,
-    doubts,
+    alternative_effects,
     form_effects,
     member_disagreement,
     unit_effects,
@@ -197,8 +197,9 @@ class SessionLikelihood(SessionErrors):
         """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
         larger = self.settings.estimation.form / self.settings.likelihood.form
         forms = self._forms(mechanisms, is_quick, of_values=True) * larger
-        doubted = [self.settings.estimation.doubts * one[..., None] for one in doubts(self, mechanisms)]
-        return self._whitened(np.concatenate([forms, *doubted], axis=-1))
+        deviations = self.settings.estimation.alternatives
+        others = [deviations * one[..., None] for one in alternative_effects(self, mechanisms)]
+        return self._whitened(np.concatenate([forms, *others], axis=-1))
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""

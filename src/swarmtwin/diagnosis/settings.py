@@ -140,7 +140,7 @@ class LikelihoodSettings(StrictModel):
             reference shows of them is added.
         form: of how a mechanism's form differs from the true one, as a share of what it does.
         rough_form: likewise, of how fins and propellers follow: what they do on the way to a new setting is known
-            least; in intervals also of lags and play of wheels.
+            least; in intervals also of play in wheels' gears.
     """
 
     discrepancy: Positive = 0.3
@@ -162,8 +162,8 @@ class EstimationSettings(StrictModel):
         clock_bootstraps: resamples of the runs for what is read off the clock.
         form: as `likelihood.form`, for intervals: a form that is wrong by a seventh of its effect, whose square is
             `search.least_share_beside`.
-        doubts: standard deviations of what a mechanism may be as well that intervals allow for: of how much of its own
-            way a fin loses, which nobody knows but by what servos are sold with.
+        alternatives: standard deviations of a mechanism's plausible alternatives that intervals allow for: of how much
+            of its own way a fin loses, of which no more is known than with what speeds servos are sold.
     """
 
     rounds: Count = 8
@@ -175,7 +175,7 @@ class EstimationSettings(StrictModel):
     draws: Count = 1000
     clock_bootstraps: Count = 200
     form: Positive = 0.14
-    doubts: NonNegative = 1.0
+    alternatives: NonNegative = 1.0
 
 
 class SearchSettings(StrictModel):

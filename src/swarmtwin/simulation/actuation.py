@@ -94,7 +94,7 @@ def _following(
 
     Of thrust each axis has its own: a hull may turn at once and gather way slowly. Wheels have one, of way and turn
     alike: aside they bring a vehicle next to nowhere, and how that follows is the error of the model. Where the model
-    looks at velocity, that tells it of the old twist, and there is no lag beside it.
+    looks at velocity, that tells it of the old twist, and there is no lag beside it, nor friction.
     """
     if "previous_command" not in dynamics.inputs or "velocity" in dynamics.inputs:
         return (0.0, 0.0, 0.0), 0.0
@@ -112,18 +112,25 @@ def _following(
     if not track_mm or lag <= 0:
         return (lag, lag, lag), 0.0
     rolled, rolls, rolled_before = (wheel_travel(twist, track_mm) for twist in (now, steady, before))
-    lag, friction = _rubbing(rolled, rolls, rolled_before, lag)
+    lag, friction = _with_friction(rolled, rolls, rolled_before, lag, longest)
     return (lag, lag, lag), friction / dynamics.robot.period_s
 
 
-def _rubbing(now: Tensor, steady: Tensor, before: Tensor, lag: float) -> tuple[float, float]:
+def _with_friction(
+    now: Tensor, steady: Tensor, before: Tensor, lag: float, longest: float, least: float = 0.05
+) -> tuple[float, float]:
     """Return the time constant in periods, and the friction in mm a period, by which wheels follow best.
+
+    There is none where it explains less than the `least` share of the squares that a lag alone leaves, or more would
+    explain more than half of the largest speed.
 
     Args:
         now: (N, 2) how far they roll in the period of a new command, mm.
         steady: (N, 2) under that command for long.
         before: (N, 2) under the one before.
         lag: without friction.
+        longest: that it may be with friction.
+        least: see above.
     """
 
     def errors(values: np.ndarray) -> np.ndarray:
@@ -133,11 +140,15 @@ def _rubbing(now: Tensor, steady: Tensor, before: Tensor, lag: float) -> tuple[f
             predicted = predicted + stopped_by_friction(before, steady, friction, lag, 1.0)[0]
         return (predicted - now).ravel().numpy()
 
-    fastest = float(steady.abs().max())
-    limits = ([0.1 * lag, 0.0], [10 * lag, fastest / 3])
-    fitted = optimize.least_squares(errors, [lag, 0.05 * fastest], bounds=limits, x_scale=[lag, 0.05 * fastest])
+    most = float(steady.abs().max()) / 2
+    low, high = np.array([0.1 * lag, 0.0]), np.array([min(10 * lag, longest) + 1e-9, most])
+    begin = np.array([min(lag, longest), 0.1 * most])
+    fitted = optimize.least_squares(errors, begin, bounds=(low, high), x_scale=begin)
     following, friction = map(float, fitted.x)
-    return (following, friction) if friction > 1e-3 * fastest else (lag, 0.0)
+    explains = 1 - 2 * fitted.cost / max(float((errors(np.array([lag, 0.0])) ** 2).sum()), 1e-12)
+    if explains < least or friction > 0.99 * most:
+        return lag, 0.0
+    return min(following, longest), friction
 
 
 def _lag_that_leaves(share: float, longest: float) -> float:

@@ -117,8 +117,8 @@ class Following(NamedTuple):
         """Let twists follow targets (N, 3), one a piece, with the actuators' own lag and more.
 
         The dynamics model's response holds the lag that the actuators have by themselves. It stands where nothing is
-        added: the pieces are shifted by what it differs from a lag of first order, or by the share of this that is left
-        where settings no longer change suddenly, and what their product lacks is corrected.
+        added: the pieces are shifted by what it differs from a lag of first order (and friction, of wheels), or by the
+        share of this that is left where settings no longer change suddenly, and what their product lacks is corrected.
         """
         own_lags = twists.moment.conditions.own_lags
         response, new = supply(twists.response(self.place)), supply(twists.steady(self.place))
@@ -185,10 +185,11 @@ class Following(NamedTuple):
         return strengths(self.latency), strengths(self.latency - 1)
 
     def _learned_before(self, twists: BaseTwists, supply: Supply) -> Tensor:
-        """Return what the change to the command before brought about beyond a lag of first order, (N, 3)."""
+        """Return (N, 3) what the change to the command before brought about beyond a lag and friction."""
         start, target = (supply(twists.steady(self.place + back)) for back in (2, 1))
         mean, _ = _relaxed_twist(start, target, 1.0, twists.moment.conditions.own_lags)
-        return supply(twists.response(self.place + 1)) - mean
+        sooner, _ = self._by_friction(start, target, 1.0, twists.moment)
+        return supply(twists.response(self.place + 1)) - mean - sooner
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
         """Yield how settings change: towards the command before until the new one acts, then towards that."""
@@ -311,6 +312,10 @@ def stopped_by_friction(
     is to stop stands, friction brakes it like a motor, and one that is to turn back as if it were to roll the other way
     by twice as much faster: it does not come to its new speed along one exponential, but stands sooner.
 
+    A learned model lets wheels that stand roll a little either way, so that all this changes gradually with the speed
+    to come: between half the friction ahead, from where on nothing brakes, and half of it back, from where on it brakes
+    twice.
+
     Args:
         start: (N, 2) at first.
         target: (N, 2) in the long run.
@@ -321,21 +326,23 @@ def stopped_by_friction(
     Returns:
         What is added to the mean of target + (start − target) · exp(−t / lag), and to its end.
     """
-    opposed = (start * target <= 0) & (start != 0)
-    braked = target - start.sign() * (friction + target.abs().clamp(max=friction))
-    stands_after = lag * torch.log1p(start.abs() / braked.abs())
-    braking = stands_after.clamp(max=share)
+    direction = start.sign()
+    ahead = target * direction  # in the direction in which the wheel rolls
+    braked = target - direction * friction * (1 - 2 * ahead / friction).clamp(0.0, 2.0)
+    until = direction * ahead.clamp(min=0.0)  # where friction brakes no more: it stands, or is as slow as it is to be
+    is_braked = (start != 0) & (ahead < friction / 2) & (start.abs() > until.abs())
+    braking = (lag * torch.log(((start - braked) / (until - braked)).clamp(min=1.0))).clamp(max=share)
     left, rest = torch.exp(-braking / lag), share - braking
     way = braked * braking + (start - braked) * lag * (1 - left)
-    end = torch.where(stands_after < share, torch.zeros_like(start), braked + (start - braked) * left)
+    end = torch.where(rest > 0, until, braked + (start - braked) * left)
     gone_on = torch.exp(-rest / lag)
-    end = end * gone_on + target * (1 - gone_on)
-    way = way + target * (rest - lag * (1 - gone_on))
+    way = way + target * rest + (end - target) * lag * (1 - gone_on)
+    end = target + (end - target) * gone_on
     on_average, at_last = left_over(share, lag)
     late = start - target
     changes = way / share - target - late * on_average, end - target - late * at_last
-    on_average_too, at_last_too = (torch.where(opposed, change, torch.zeros_like(change)) for change in changes)
-    return on_average_too, at_last_too
+    mean_change, end_change = (torch.where(is_braked, change, torch.zeros_like(change)) for change in changes)
+    return mean_change, end_change
 
 
 def _left_at_last(share: float, own_lags: Sequence[float], added_lag: float = 0.0) -> Tensor:

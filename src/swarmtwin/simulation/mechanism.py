@@ -279,8 +279,8 @@ class Mechanism(StrictModel, ABC):
         """Return its parameters as a diagnosis reports them; the same as `values` unless said otherwise."""
         return self.values()
 
-    def as_well(self) -> Sequence["Mechanism"]:
-        """Return what it may as well be, a standard deviation away, since how it acts is known no better."""
+    def plausible_alternatives(self) -> Sequence["Mechanism"]:
+        """Return what it may be instead, each a standard deviation away, where how it acts is not known well."""
         return ()
 
     # link

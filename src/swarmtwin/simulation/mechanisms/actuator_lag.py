@@ -88,17 +88,18 @@ class Config(Mechanism):
         )
         return Transient((way, way, turn), self.goes_on or 0.0)
 
-    def as_well(self) -> Sequence[Mechanism]:
-        """Doubt how much of what a change of setting brings about is the fin's own way, of which a lag takes nothing.
+    def plausible_alternatives(self) -> Sequence[Mechanism]:
+        """Return a shorter lag of a fin that loses some of its own way beside its throw.
 
-        As little as is then lost of it looks like a shorter lag. Servos are sold with 0.05 to 0.26 s for 60 degrees, of
-        which most changes are a half.
+        What a change of setting brings about in the reference is the throw, which an added lag weakens, and the way
+        that the fin takes for it by itself, which stays. How much of it is way is not known: servos are sold with 0.05
+        to 0.26 s for 60 degrees, of which most changes are a half.
         """
         way, _, turn = self.transient().shares
         lost_s = (1 - (way + turn) / 2) * 0.05
         if lost_s <= 0:
             return ()
-        shorter = max(1 - lost_s / self.time_constant_s, 0.0)
+        shorter = max(1 - lost_s / self.time_constant_s, 0.01)
         own = {name: value * shorter for name, value in self.values().items() if name.endswith("time_constant_s")}
         return [self.model_copy(update=own)]
 
