@@ -1,0 +1,45 @@
+"""Lags of a rigid body's car, whose gears have friction that no formula of ours moves, are told as long as they are."""
+
+import numpy as np
+import pytest
+
+from swarmtwin.diagnosis.cause_report import reported_parameters
+from swarmtwin.diagnosis.estimation import estimate
+from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.simulation.mechanism import mechanism_class
+from swarmtwin.standin.effects import parse_effects
+from swarmtwin.standin.session import StandInSession
+from swarmtwin.studies.stand_in_recording import record
+from swarmtwin.transitions import from_recording
+
+pytest.importorskip("mujoco")
+
+from swarmtwin.standin.rigid_body.driving import drive_rigid_session
+
+pytestmark = pytest.mark.claims
+
+
+def driven(robot, seed, *effects):
+    session = StandInSession(robot, ("1",), 100, 40, seed, parse_effects(effects, robot, 1))
+    return record(session, drive=drive_rigid_session)[1]
+
+
+@pytest.fixture(scope="module")
+def reference(robots):
+    return Reference.learn(from_recording(driven(robots["mgr"], 1))[0], 0)
+
+
+def test_friction_is_read_from_the_reference(reference):
+    """By the drawing, 0.0017 N·m of bearings slow a wheel by 9.6 mm/s, beside what the caster takes."""
+    assert 6 < reference.session.conditions.gear_friction_mm_s < 12
+
+
+@pytest.mark.parametrize("lag_s", [0.015, 0.03, 0.06])
+def test_an_added_lag_is_told_within_a_tenth_and_its_interval_holds_it(robots, reference, lag_s):
+    measured = driven(robots["mgr"], 2, {"name": "actuator_lag", "time_constant_s": lag_s})
+    session, _, _ = reference.comparable(measured)
+    model = reference.likelihood_of(session)
+    found = estimate(model, [mechanism_class("actuator_lag").at({"time_constant_s": 0.05})], polish=True)
+    told = reported_parameters(model, found, np.random.default_rng(0))["actuator_lag"]["time_constant_s"]
+    assert told.value == pytest.approx(lag_s, rel=0.1)
+    assert told.low <= lag_s <= told.high
