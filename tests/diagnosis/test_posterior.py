@@ -141,6 +141,21 @@ def explanation_of(robot, estimates, posterior=None, gained=300.0, left=NOTHING_
 SAG, GAIN, GAIN_SURE = ("loss", 0.5, 0.05), ("gain", 1.9, 0.6), ("gain", 1.5, 0.05)
 
 
+@pytest.mark.parametrize(("nats", "verdict"), [(3.2, "no_gap"), (5.0, "no_gap"), (5.5, "explained")])
+def test_a_cause_that_may_as_well_not_be_there_raises_no_alarm(robots, nats, verdict):
+    """Nine of ten is asked for that any is there: 0.55, 0.88 and 0.92 here."""
+    explained = explanation_of(robots["mgr"], {"battery_sag": SAG}, posterior_of(battery_sag=(nats, 1)), gained=50.0)
+    assert explained.posterior.of_any == pytest.approx(1 / (1 + np.exp(ODDS_AGAINST - nats)))
+    assert explained.verdict == verdict
+
+
+def test_an_alarm_is_raised_where_one_of_rivals_is_there_and_neither_leads(robots):
+    posterior = posterior_of(battery_sag=(8.0, 1), gain_change=(8.0, 1))
+    explained = explanation_of(robots["mgr"], {"battery_sag": SAG}, posterior, gained=50.0)
+    assert explained.posterior.probability("battery_sag") < 0.5
+    assert (explained.names, explained.verdict) == ((), "unexplained")
+
+
 @pytest.mark.parametrize(
     ("evidence", "left"),
     [

@@ -71,6 +71,11 @@ class CausePosterior:
         own = [any(name in one.names for name in names) for one in self.sets]
         return min(float(np.exp(self.log_probability)[own].sum()), 1.0)
 
+    @property
+    def of_any(self) -> float:
+        """Return the probability that any cause is there."""
+        return self.probability(*{name for one in self.sets for name in one.names})
+
     def rivals(self, name: str, least: float) -> tuple[str, ...]:
         """Return the causes that share the probability with one: in sets without it, and not beside it in the best."""
         shared: dict[str, float] = {}

@@ -205,7 +205,9 @@ class Explanation:
             return "unexplained"
         if self.names or self.names_motion_noise:
             return "explained"
-        is_seen = (self.best.names and not self.is_uncertain) or (self._is_more_random and self.leaves_outliers)
+        is_probable = self.posterior.of_any >= self.model.settings.search.named_from
+        is_seen = self.best.names and not self.is_uncertain and is_probable
+        is_seen = is_seen or (self._is_more_random and self.leaves_outliers)
         return "unexplained" if is_seen else "no_gap"
 
     @cached_property
