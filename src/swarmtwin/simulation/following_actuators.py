@@ -68,9 +68,9 @@ class Following(NamedTuple):
         for share, end in zip(self.shares, self.ends, strict=True):
             target = old if end <= self.latency else new
             late = target + (twist - target) * _left_at_last(share, own_lags, self.added_lag)
-            twist = late + self._by_friction(twist, target, share, moment, self.added_lag)[1]
+            twist = late + _by_friction(twist, target, share, moment, self.added_lag)[1]
             late = new + (undisturbed - new) * _left_at_last(share, own_lags)
-            undisturbed = late + self._by_friction(undisturbed, new, share, moment)[1]
+            undisturbed = late + _by_friction(undisturbed, new, share, moment)[1]
         return ActuatorTwists(twist, undisturbed)
 
     def settings(
@@ -120,22 +120,17 @@ class Following(NamedTuple):
         added: the pieces are shifted by what it differs from a lag of first order (and friction, of wheels), or by the
         share of this that is left where settings no longer change suddenly, and what their product lacks is corrected.
         """
-        own_lags = twists.moment.conditions.own_lags
         response, new = supply(twists.response(self.place)), supply(twists.steady(self.place))
         twist, reference = moving
         pieces, references = [], []
         for share, target in zip(self.shares, targets, strict=True):
-            sooner = self._by_friction(twist, target, share, twists.moment, added_lag)
-            mean, twist = _relaxed_twist(twist, target, share, own_lags, added_lag)
-            pieces.append(mean + sooner[0])
-            twist = twist + sooner[1]
-            sooner = self._by_friction(reference, new, share, twists.moment)
-            mean, reference = _relaxed_twist(reference, new, share, own_lags)
-            references.append(mean + sooner[0])
-            reference = reference + sooner[1]
+            mean, twist = _followed(twist, target, share, twists.moment, added_lag)
+            reference_mean, reference = _followed(reference, new, share, twists.moment)
+            pieces.append(mean)
+            references.append(reference_mean)
         learned = response - sum(share * piece for share, piece in zip(self.shares, references, strict=True))
         correction = None
-        if any(own_lags):
+        if any(twists.moment.conditions.own_lags):
             undisturbed = composed(zip(self.shares, (piece + learned for piece in references), strict=True))
             correction = response - log_map(undisturbed)
         shares = learned.new_tensor(self.transient.shares)
@@ -147,20 +142,6 @@ class Following(NamedTuple):
             before = self._learned_before(twists, supply)
             pieces = [piece + (shares * act + late) * before for piece, act in zip(pieces, going_on, strict=True)]
         return pieces, correction, ActuatorTwists(twist, reference)
-
-    def _by_friction(
-        self, start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
-    ) -> tuple[Tensor, Tensor]:
-        """Return what friction changes in the twists (N, 3) of wheels over a piece: on average, and at last."""
-        friction = moment.conditions.gear_friction_mm_s * moment.robot.period_s
-        lag = moment.conditions.own_lags[0] + added_lag
-        if friction <= 0 or lag <= 0:
-            nothing = torch.zeros_like(target)
-            return nothing, nothing
-        rolling, aimed = wheel_travel(start, moment.track_mm), wheel_travel(target, moment.track_mm)
-        stopped = stopped_by_friction(rolling, aimed, friction, lag, share)
-        on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
-        return on_average, at_last
 
     def _when_transients_act(self, period_s: float) -> tuple[list[float], list[float]]:
         """Return how strong over each piece is what a change of command brings about: of the last one, of that before.
@@ -187,9 +168,8 @@ class Following(NamedTuple):
     def _learned_before(self, twists: BaseTwists, supply: Supply) -> Tensor:
         """Return (N, 3) what the change to the command before brought about beyond a lag and friction."""
         start, target = (supply(twists.steady(self.place + back)) for back in (2, 1))
-        mean, _ = _relaxed_twist(start, target, 1.0, twists.moment.conditions.own_lags)
-        sooner, _ = self._by_friction(start, target, 1.0, twists.moment)
-        return supply(twists.response(self.place + 1)) - mean - sooner
+        mean, _ = _followed(start, target, 1.0, twists.moment)
+        return supply(twists.response(self.place + 1)) - mean
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
         """Yield how settings change: towards the command before until the new one acts, then towards that."""
@@ -257,6 +237,30 @@ def composed(pieces: Iterable[tuple[float, Tensor]]) -> Tensor:
     for share, twist in others:
         moved = moved_along(moved, twist, share)
     return moved
+
+
+def _followed(
+    start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Return as `_relaxed_twist` does the mean twist (N, 3) and that at the end, of wheels with friction as well."""
+    mean, end = _relaxed_twist(start, target, share, moment.conditions.own_lags, added_lag)
+    mean_change, end_change = _by_friction(start, target, share, moment, added_lag)
+    return mean + mean_change, end + end_change
+
+
+def _by_friction(
+    start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Return what friction changes in the twists (N, 3) of wheels over a piece: on average, and at last."""
+    friction = moment.conditions.gear_friction_mm_s * moment.robot.period_s
+    lag = moment.conditions.own_lags[0] + added_lag
+    if friction <= 0 or lag <= 0:
+        nothing = torch.zeros_like(target)
+        return nothing, nothing
+    rolling, aimed = wheel_travel(start, moment.track_mm), wheel_travel(target, moment.track_mm)
+    stopped = stopped_by_friction(rolling, aimed, friction, lag, share)
+    on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
+    return on_average, at_last
 
 
 def _relaxed_twist(
