@@ -89,13 +89,14 @@ def test_units_with_wheels_do_not_differ_by_where_they_are(robots):
 @pytest.mark.parametrize(
     ("robot", "cause", "of_values", "share", "axes"),
     [
-        ("mgr", {"actuator_lag": {"time_constant_s": 0.1}}, True, 0.05, {0, 2}),
+        ("mgr", {"actuator_lag": {"time_constant_s": 0.1}}, False, 0.05, {0, 2}),
+        ("mgr", {"actuator_lag": {"time_constant_s": 0.1}}, True, 0.1, {0, 1, 2}),
         ("mgr", {"backlash": {"travel_mm": 3.0}}, False, 0.05, {0, 2}),
         ("mgr", {"backlash": {"travel_mm": 3.0}}, True, 0.1, {0, 1, 2}),
         ("mur", {"actuator_lag": {"time_constant_s": 0.1}}, False, 0.1, {0, 1, 2}),
     ],
 )
-def test_how_thrust_follows_is_known_least_as_is_how_wide_play_is(robots, robot, cause, of_values, share, axes):
+def test_how_thrust_follows_is_known_least_as_are_the_values_of_wheels(robots, robot, cause, of_values, share, axes):
     base = ExactBase(robots[robot])
     session = session_of(base, np.random.default_rng(2))
     model = SessionLikelihood(base, known_noise(), session)

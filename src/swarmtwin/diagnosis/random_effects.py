@@ -289,11 +289,12 @@ def other_forms(
 ) -> Iterator[np.ndarray]:
     """Yield (N, 3) by what another form of a mechanism may differ, which changes (N, 3) of motion, by functions (N, q).
 
-    How actuators of thrust follow is known least: their forms differ by more, and to the side as well. So does that of
-    play in wheels' gears where it is the values' intervals that they are for: a motor without its wheel runs faster.
+    How actuators of thrust follow is known least: their forms differ by more, and to the side as well. So do those of
+    wheels where it is the values' intervals that they are for: how much their gears rub is read to half of it, and a
+    motor that takes up play, without its wheel, runs faster.
     """
-    of_thrust = robot.actuation.kind == "thrust" and mechanism.says_when
-    is_rough = of_thrust or (of_values and mechanism.is_known_roughly)
+    is_known_least = robot.actuation.kind == "thrust" or (of_values and mechanism.stage == "actuators")
+    is_rough = mechanism.says_when and is_known_least
     share, axes = (settings.rough_form, (0, 1, 2)) if is_rough else (settings.form, (0, 2))
     for function in functions[:, 1:].T:
         yield share * change * function[:, None] / math.sqrt(functions.shape[1] - 1)

@@ -140,7 +140,7 @@ class LikelihoodSettings(StrictModel):
             reference shows of them is added.
         form: of how a mechanism's form differs from the true one, as a share of what it does.
         rough_form: likewise, of how fins and propellers follow: what they do on the way to a new setting is known
-            least; in intervals also of play in wheels' gears.
+            least; in intervals also of lags and play of wheels.
     """
 
     discrepancy: Positive = 0.3

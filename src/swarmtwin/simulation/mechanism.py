@@ -184,7 +184,6 @@ class Mechanism(StrictModel, ABC):
             commands before, where it has memory or a delay.
         says_when: whether it says how late, or how gradually, actuators follow a command.
         is_smooth: whether the motion changes gradually with the parameters.
-        is_known_roughly: whether nobody knows well how it acts on wheels, so that its values' intervals allow for more.
         is_arrival_alone: whether it decides that commands arrive and nothing else: known what arrived, it does nothing.
         place_in_stage: of several in a stage, those of smaller numbers act first, those of the same one by name.
     """
@@ -196,7 +195,6 @@ class Mechanism(StrictModel, ABC):
     inputs: ClassVar[tuple[SituationPart, ...]] = ()
     says_when: ClassVar[bool] = False
     is_smooth: ClassVar[bool] = True
-    is_known_roughly: ClassVar[bool] = False
     is_arrival_alone: ClassVar[bool] = False
     place_in_stage: ClassVar[int] = 0
 

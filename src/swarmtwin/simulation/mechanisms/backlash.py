@@ -36,7 +36,6 @@ class Config(Mechanism):
     parameters: ClassVar = {}
     inputs: ClassVar[tuple[SituationPart, ...]] = ("previous_command", "earlier_command")
     says_when: ClassVar = True
-    is_known_roughly: ClassVar = True
 
     name: Literal["backlash"] = "backlash"
     travel_mm: float | None = None
