@@ -121,8 +121,8 @@ def _with_friction(
 ) -> tuple[float, float]:
     """Return the time constant in periods, and the friction in mm a period, by which wheels follow best.
 
-    There is none where it explains less than the `least` share of the squares that a lag alone leaves, or more would
-    explain more than half of the largest speed.
+    There is no friction where it explains less than the `least` share of the squares that the lag alone leaves, or
+    where it comes out as half of the largest speed, which is the most that is allowed.
 
     Args:
         now: (N, 2) how far they roll in the period of a new command, mm.
