@@ -8,7 +8,7 @@ from simulated_session import simulated_noise, simulated_session
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.screening import candidates
+from swarmtwin.diagnosis.screening import best_by_name, candidates, pairs
 from swarmtwin.geometry import exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -32,9 +32,43 @@ def test_a_search_begins_where_the_session_is_at_least_as_likely_as_on_its_grid(
     nothing, kind = model.evaluate([]), mechanism_class("dead_band")
     on_grid = [model.evaluate([kind.at(point)]).total for point in kind.initial_points(model.robot, session.conditions)]
     found = candidates(model, nothing, {"dead_band": kind})
-    best = max(found, key=lambda one: one.nats)
+    best = best_by_name(model, nothing, found, most=1)[0]
     assert model.evaluate(best.start).total > max(on_grid) - 1.0
     assert abs(best.start[0].width - 22.3) < 2.0
+
+
+def test_beside_others_the_points_are_looked_at_again_that_promised_most_alone(robots):
+    base = ExactBase(robots["mur"])
+    session = session_of(base, np.random.default_rng(3), without_small_commands(22.3, 0.9))
+    model = SessionLikelihood(base, known_noise(), session)
+    kinds = {name: mechanism_class(name) for name in ("dead_band", "gain_change")}
+    alone = candidates(model, model.evaluate([]), kinds)
+    weaker = model.evaluate([kinds["gain_change"].at({"gain": 0.9})])
+    again = candidates(model, weaker, kinds, alone)
+    anew = candidates(model, weaker, kinds)
+    bands = [[one for one in found if one.form is anew[0].form] for found in (alone, anew, again)]
+    assert len(bands[0]) == len(bands[1]) > 20 > len(bands[2]) == model.settings.search.tried_points
+    assert max(bands[1], key=lambda one: one.nats).point in [one.point for one in bands[2]]
+    best = best_by_name(model, weaker, again, most=1)[0]
+    assert best.name == "dead_band"
+    assert abs(best.start[-1].width - 22.3) < 2.0
+
+
+def test_pairs_begin_where_each_of_both_leads_to(robots):
+    base = ExactBase(robots["mur"])
+    session = session_of(base, np.random.default_rng(3), without_small_commands(22.3, 0.9))
+    model = SessionLikelihood(base, known_noise(), session)
+    kinds = {name: mechanism_class(name) for name in ("dead_band", "gain_change", "camera_scale")}
+    nothing = model.evaluate([])
+    found = pairs(model, nothing, candidates(model, nothing, kinds), most=2)
+    likeliest = set(found[0].name.split("+"))
+    assert likeliest in (
+        {"dead_band", "gain_change"},
+        {"dead_band", "camera_scale"},
+    )
+    assert len(found) == 2
+    band = next(one for one in found[0].start if one.name == "dead_band")
+    assert abs(band.width - 22.3) < 3.0
 
 
 WEAKER_AND_LATE = [

@@ -161,6 +161,7 @@ class CauseSearch:
         self.model, self.settings, self.progress = model, model.settings.search, progress
         self.kinds = model.shown_of(kinds)
         self.fitted: dict[frozenset[MechanismClass], EstimatedSet] = {}
+        self._alone: list[Candidate] = []
         self._shares, self._usual_gains = _OncePerFit(self._shares_of_evidence), _OncePerFit(self._gained_by_usual_loss)
 
     def run(self) -> CausePosterior:
@@ -182,17 +183,28 @@ class CauseSearch:
     def _starts(self, frontier: Sequence[EstimatedSet], count: int) -> list[tuple[Mechanism, ...]]:
         """Return where fits of sets of `count` causes begin, and of pairs at first: as far as they promise anything."""
         screened = self._in_part.model
-        promise = self.settings.least_promise * len(screened.session) / len(self.model.session)
+        promise = self._least_promise() * len(screened.session) / len(self.model.session)
         proposed: list[Candidate] = []
         for number, one in enumerate(frontier):
             self._tell(f"{count} causes", number, len(frontier))
             beside = screened.evaluate(one.mechanisms)
-            found = candidates(screened, beside, self.kinds)
-            proposed += best_by_name(found, self.settings.fitted_a_set)
+            found = candidates(screened, beside, self.kinds, self._alone)
+            proposed += best_by_name(screened, beside, found, self.settings.fitted_a_set)
             if count == 1:
-                proposed += pairs(screened, beside, found)[: self.settings.fitted_pairs]
+                proposed += pairs(screened, beside, found, self.settings.fitted_pairs)
+                self._alone = found
         starts = [candidate.start for candidate in proposed if candidate.nats > promise]
         return starts if self._in_part is self else self._in_part.likely_starts(starts)
+
+    def _least_promise(self) -> float:
+        """Return the nats of the whole session below which nothing is fitted.
+
+        Where other units may differ, only a share of what a cause changes is evidence, and less of it is enough.
+        """
+        if self.model.unknown_vehicles:
+            return self.settings.least_promise
+        matters = too_little_nats(self.settings, len(self.model.session))
+        return max(self.settings.least_promise, self.settings.least_promise_share * matters)
 
     def likely_starts(self, starts: Sequence[tuple[Mechanism, ...]]) -> list[tuple[Mechanism, ...]]:
         """Return sets with the values that are likeliest here, of those that are not far less probable than the best.

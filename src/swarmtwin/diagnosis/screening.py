@@ -1,7 +1,7 @@
 """Step 3. What each mechanism may gain beside others, and each pair: one linear step from a coarse grid of values."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -31,6 +31,7 @@ class Candidate:
         columns: (3 N, q) what it changes of whitened errors; none where commands may be lost.
         held: values of its parameters at the point.
         off: for each of these columns the parameter, and by how much it is off where it does nothing.
+        point: of the grid.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Candidate:
     columns: np.ndarray
     held: Mapping[str, float] = field(default_factory=dict)
     off: Mapping[str, float] = field(default_factory=dict)
+    point: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def form(self) -> MechanismClass:
@@ -66,42 +68,66 @@ def sought_kinds(model: SessionLikelihood) -> dict[str, MechanismClass]:
 
 
 def candidates(
-    model: SessionLikelihood, beside: FittedMechanisms, kinds: Mapping[str, MechanismClass]
+    model: SessionLikelihood,
+    beside: FittedMechanisms,
+    kinds: Mapping[str, MechanismClass],
+    known: Sequence[Candidate] = (),
 ) -> list[Candidate]:
-    """Return mechanisms at all points of their grids, beside others that are fitted already."""
+    """Return mechanisms at the points of their grids, beside others that are fitted already.
+
+    What they promise is what one linear step does.
+
+    Args:
+        model: of the session.
+        beside: the others.
+        kinds: the mechanisms, by name.
+        known: candidates at all points beside nothing, where these were looked at. What mechanisms change beside
+            others is much the same: of the points of a form that are known, those are looked at again that promise most
+            by these changes.
+    """
     traction = local_traction_score(model, beside)
-    here = model.whitened(arriving(beside.mechanisms))
-    here[beside.is_lost] = 0.0
+    here = _left(model, beside)
     found = []
     for name, cause in kinds.items():
         if name not in beside.names:
             for kind in cause.forms(model.robot):
-                for start in _grid(model, kind, traction):
+                points = _grid(model, kind, traction)
+                for start in _promising(model, points, [one for one in known if one.form is kind], here):
                     found.append(_candidate(model, beside, here, name, kind, start))
     return found
 
 
-def best_by_name(found: Sequence[Candidate], most: int) -> list[Candidate]:
-    """Return the best points of the `most` most promising mechanisms, one for each form, the most promising first."""
-    best: dict[MechanismClass, Candidate] = {}
+def best_by_name(
+    model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Candidate], most: int
+) -> list[Candidate]:
+    """Return the best points of the `most` most promising mechanisms, one for each form, the most promising first.
+
+    Of each form, where its most promising points lead to is looked at.
+    """
+    here = _left(model, beside)
+    by_form: dict[MechanismClass, list[Candidate]] = {}
     for one in found:
-        if one.form not in best or one.nats > best[one.form].nats:
-            best[one.form] = one
-    ordered = sorted(best.values(), key=lambda one: -one.nats)
+        by_form.setdefault(one.form, []).append(one)
+    best = []
+    for points in by_form.values():
+        promising = sorted(points, key=lambda one: -one.nats)[: model.settings.search.tried_points]
+        best.append(max((_tried(model, beside, here, one) for one in promising), key=lambda one: one.nats))
+    ordered = sorted(best, key=lambda one: -one.nats)
     names = list(dict.fromkeys(one.name for one in ordered))[:most]
     return [one for one in ordered if one.name in names]
 
 
-def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Candidate]) -> list[Candidate]:
-    """Return the best points of each pair of mechanisms, the most promising first: all of them from one Gram matrix."""
+def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Candidate], most: int) -> list[Candidate]:
+    """Return the `most` most promising pairs, each at its best points: all of them from one Gram matrix.
+
+    Where each of both leads to by itself is looked at.
+    """
     usable = [one for one in found if one.columns.shape[1]]
     if not usable:
         return []
-    columns = np.column_stack([one.columns for one in usable])
-    ends = np.cumsum([one.columns.shape[1] for one in usable])
-    rows = [np.arange(end - one.columns.shape[1], end) for end, one in zip(ends, usable, strict=True)]
+    columns, rows = _side_by_side(usable)
     gram, side = model.effects.least_squares(columns, -beside.whitened.ravel())
-    best: dict[tuple[str, str], Candidate] = {}
+    best: dict[tuple[str, str], tuple[float, int, int]] = {}
     for first, second in combinations(range(len(usable)), 2):
         names = usable[first].name, usable[second].name
         if names[0] == names[1]:
@@ -109,10 +135,43 @@ def pairs(model: SessionLikelihood, beside: FittedMechanisms, found: Sequence[Ca
         own = np.concatenate([rows[first], rows[second]])
         solution = np.linalg.lstsq(gram[np.ix_(own, own)], side[own], rcond=1e-8)[0]
         nats = float(solution @ side[own]) / 2
-        if names not in best or nats > best[names].nats:
-            start = (*usable[first].start, usable[second].start[-1])
-            best[names] = Candidate("+".join(names), nats, start, columns[:, :0])
-    return sorted(best.values(), key=lambda one: -one.nats)
+        if names not in best or nats > best[names][0]:
+            best[names] = nats, first, second
+    here, promising = _left(model, beside), []
+    for names, (nats, *both) in sorted(best.items(), key=lambda one: -one[1][0])[:most]:
+        starts = [_tried(model, beside, here, usable[place]).start for place in both]
+        promising.append(Candidate("+".join(names), nats, (*starts[0], starts[1][-1]), columns[:, :0]))
+    return promising
+
+
+def _side_by_side(found: Sequence[Candidate]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Return the columns (3 N, q) of candidates, and the places of those of each."""
+    ends = np.cumsum([one.columns.shape[1] for one in found])
+    rows = [np.arange(end - one.columns.shape[1], end) for end, one in zip(ends, found, strict=True)]
+    return np.column_stack([one.columns for one in found]), rows
+
+
+def _left(model: SessionLikelihood, beside: FittedMechanisms) -> np.ndarray:
+    """Return the whitened errors (N, 3) beside others of transitions whose commands arrived; 0 of the rest."""
+    here = model.whitened(arriving(beside.mechanisms))
+    here[beside.is_lost] = 0.0
+    return here
+
+
+def _promising(
+    model: SessionLikelihood, points: list[dict[str, float]], known: Sequence[Candidate], here: np.ndarray
+) -> list[dict[str, float]]:
+    """Return the points of a form that are not known, and of those that are, the ones that promise most (`here`)."""
+    most = model.settings.search.tried_points
+    again = [one for one in known if one.point in points and one.columns.shape[1]]
+    if len(again) <= most:
+        return points
+    columns, rows = _side_by_side(again)
+    gram, side = model.effects.least_squares(columns, -here.ravel())
+    nats = [float(side[own] @ np.linalg.lstsq(gram[np.ix_(own, own)], side[own], rcond=1e-8)[0]) for own in rows]
+    best = [again[place].point for place in np.argsort(nats)[::-1][:most]]
+    left_out = [one.point for one in again if one.point not in best]
+    return [point for point in points if point not in left_out]
 
 
 def local_traction_score(model: SessionLikelihood, fitted: FittedMechanisms, step: float = 0.02) -> LocalTractionScore:
@@ -164,24 +223,37 @@ def _candidate(
     gram, side = model.effects.least_squares(columns, -here.ravel())
     solution = np.linalg.lstsq(gram, side, rcond=1e-8)[0]
     values = dict(begun)
-    for (key, value), factor in zip(moved.items(), solution, strict=False):
+    for place, (key, value) in enumerate(moved.items()):
         parameter, null = parameters[key], nulls[key]
-        values[key] = float(np.clip(null + factor * (value - null), parameter.low, parameter.high))
-        if null in (parameter.low, parameter.high) and factor <= 0:
+        values[key] = float(np.clip(null + solution[place] * (value - null), parameter.low, parameter.high))
+        if null in (parameter.low, parameter.high) and solution[place] <= 0:
             solution, values[key] = np.zeros_like(solution), value
-    nats = float(solution @ side - solution @ gram @ solution / 2)
     off = {key: value - nulls[key] for key, value in moved.items()}
-    ahead = (*beside.mechanisms, kind.at(values))
-    if len(moved) == 1:  # what it does need not grow in proportion: where it was looked at may be better
-        there = {**begun, **moved}
-        error = model.whitened_near(arriving(ahead), others)
-        error[beside.is_lost] = 0.0
-        losses = [model.effects.loss(one.ravel()) / 2 for one in (here, error)]
-        attained, on_grid = losses[0] - losses[1], float(side[0] - gram[0, 0] / 2)
-        nats = max(attained, on_grid)
-        if on_grid > attained:
-            ahead = (*beside.mechanisms, kind.at(there))
-    return Candidate(name, nats, ahead, columns, begun, off)
+    if len(off) == 1:
+        key, by = next(iter(off.items()))
+        solution = np.array([(values[key] - nulls[key]) / by]) * (solution != 0)
+    nats = float(solution @ side - solution @ gram @ solution / 2)
+    return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, begun, off, start)
+
+
+def _tried(model: SessionLikelihood, beside: FittedMechanisms, here: np.ndarray, one: Candidate) -> Candidate:
+    """Return a candidate of one parameter with what it brings where its linear step leads, or where it was looked at.
+
+    What it does need not grow in proportion: of both the better one. Whitened errors beside the others are `here`.
+    """
+    if len(one.off) != 1:
+        return one
+    key, off = next(iter(one.off.items()))
+    null = one.form.parameters_of(model.robot, model.session.conditions)[key].null_value
+    assert null is not None
+    there, others = one.form.at({**one.held, key: null + off}), arriving(beside.mechanisms)
+    error = model.whitened_near([*others, one.start[-1]], others)
+    error[beside.is_lost] = 0.0
+    gram, side = model.effects.least_squares(one.columns, -here.ravel())
+    attained = (model.effects.loss(here.ravel()) - model.effects.loss(error.ravel())) / 2
+    on_grid = float(side[0] - gram[0, 0] / 2)
+    start = (*beside.mechanisms, there) if on_grid > attained else one.start
+    return replace(one, nats=max(attained, on_grid), start=start)
 
 
 def _off_null(parameter: Parameter, value: float) -> float:

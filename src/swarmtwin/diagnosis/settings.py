@@ -199,10 +199,12 @@ class SearchSettings(StrictModel):
         most_behind: nats by which they may be: a ratio of 5 × 10⁸ is not made up for by more of the same session. The
             `kept_sets` of a size always are, unless its best is so far behind the best smaller set.
         grid_points: of each mechanism's grid, where it is screened.
+        tried_points: of these, beside each set: those that promise most, by one linear step.
         fitted_a_set: mechanisms that are fitted beside each of the sets that are kept.
         fitted_pairs: pairs that are fitted at once.
         kept_sets: of each size, beside which a further cause is looked for.
         least_promise: nats below which nothing is fitted, of the whole session.
+        least_promise_share: likewise, as a share of those that a cause must bring to matter.
         named_from: probability from which on a cause counts as sure.
         reported_from: probability from which on a cause leads: it is named where it or its rivals are sure.
         rival_from: probability that a cause must hold in the place of another one to be its rival.
@@ -218,10 +220,12 @@ class SearchSettings(StrictModel):
     most_screened: Count = 1500
     most_behind: Positive = 20.0
     grid_points: Count = 32
+    tried_points: Count = 2
     fitted_a_set: Count = 4
     fitted_pairs: Count = 4
     kept_sets: Count = 2
     least_promise: Positive = 3.0
+    least_promise_share: Share = 0.2
     named_from: Probability = 0.9
     reported_from: Share = 0.5
     rival_from: Share = 0.02

@@ -1,5 +1,6 @@
 """Another grip in a region of the arena: dust or oil on the ground, weeds in the water."""
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar, Literal, NamedTuple
 
@@ -30,11 +31,18 @@ class _Disc(NamedTuple):
     nats: float
 
     @classmethod
-    def of(cls, place: np.ndarray, traction: LocalTractionScore) -> "_Disc":
-        """Return the one at a place (3,)."""
-        inside = ((traction.position - place[:2]) ** 2).sum(axis=1) < place[2] ** 2
-        slope, curvature = float(traction.slope[inside].sum()), float(traction.curvature[inside].sum()) + 1e-9
-        return cls(place, float(np.clip(slope / curvature, -0.5, 0.9)), slope**2 / curvature)
+    def of(cls, places: np.ndarray, traction: LocalTractionScore, at_once: int = 500_000) -> list["_Disc"]:
+        """Return those at places (n, 3); so many distances of transitions to them are held at once."""
+        x_mm, y_mm = traction.position.T
+        together = np.column_stack([traction.slope, traction.curvature])
+        found = []
+        for some in np.array_split(places, math.ceil(len(places) * len(x_mm) / at_once)):
+            inside = (x_mm - some[:, :1]) ** 2 + (y_mm - some[:, 1:2]) ** 2 < some[:, 2:] ** 2
+            slope, curvature = (inside.astype(float) @ together).T
+            curvature += 1e-9
+            losses, nats = np.clip(slope / curvature, -0.5, 0.9), slope**2 / curvature
+            found += [cls(*one) for one in zip(some, losses.tolist(), nats.tolist(), strict=True)]
+        return found
 
     def moved(self, traction: LocalTractionScore, step_mm: float, ends: np.ndarray, least: float = 0.2) -> "_Disc":
         """Return the one that is reached by ever smaller steps uphill, within `ends` (2, 3).
@@ -44,8 +52,7 @@ class _Disc(NamedTuple):
         disc, size = self, 1.0
         while size >= least:
             places = np.clip(disc.place + size * step_mm * _STEPS, *ends)
-            around = [_Disc.of(place, traction) for place in places]
-            further = max(around, key=lambda one: one.nats)
+            further = max(_Disc.of(places, traction), key=lambda one: one.nats)
             disc, size = (further, size) if further.nats > disc.nats else (disc, size / 2)
         return disc
 
@@ -104,12 +111,9 @@ class Config(LocalTraction):
             traction = LocalTractionScore(((low + high) / 2)[None], np.zeros(1), np.ones(1))
         least = float(min(high - low))
         x_mm, y_mm = (np.linspace(low[axis], high[axis], round(13 * (high - low)[axis] / least)) for axis in (0, 1))
-        discs = [
-            _Disc.of(np.array([*centre, radius * least]), traction)
-            for radius in (0.08, 0.14, 0.2, 0.27, 0.36)
-            for centre in np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-        ]
-        discs.sort(key=lambda disc: -disc.nats)
+        radii_mm = least * np.array([0.08, 0.14, 0.2, 0.27, 0.36])
+        places = np.stack(np.meshgrid(radii_mm, y_mm, x_mm, indexing="ij")[::-1], axis=-1).reshape(-1, 3)
+        discs = sorted(_Disc.of(places, traction), key=lambda disc: -disc.nats)
         ends = np.array([[low[0], low[1], 0.05 * least], [high[0], high[1], 0.45 * least]])
         moved = [disc.moved(traction, least / 26, ends) for disc in discs[:3]]
         return [disc.values() for disc in sorted(moved, key=lambda disc: -disc.nats)]
