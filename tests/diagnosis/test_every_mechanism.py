@@ -31,7 +31,7 @@ WIDER_THAN_NEEDED = ("dead_band", "surface_patch")
 """Where edges in the likelihood tell more exactly than intervals say: truths lie too near what is said of them."""
 
 CERTAIN = DiagnosisSettings.parse(
-    {"likelihood": {"form": 1e-6, "rough_form": 1e-6}, "estimation": {"form": 1e-6, "alternatives": 0.0}}, "here"
+    {"likelihood": {"form": 1e-6, "rough_form": 1e-6}, "estimation": {"form": 1e-6}}, "here"
 )
 
 

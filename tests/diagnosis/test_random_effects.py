@@ -5,7 +5,7 @@ import pytest
 from exact_base import ExactBase, known_noise, session_of
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
-from swarmtwin.diagnosis.random_effects import RandomEffects, alternative_effects, form_effects, unit_effects
+from swarmtwin.diagnosis.random_effects import RandomEffects, form_effects, unit_effects
 from swarmtwin.simulation.mechanism import mechanism_class
 
 COUNT = 20
@@ -106,17 +106,3 @@ def test_how_thrust_follows_is_known_least_as_are_the_values_of_wheels(robots, r
     for axis, form in zip(sorted(axes), alone, strict=True):
         np.testing.assert_allclose(form[:, axis], share * change[:, axis])
         assert not np.delete(form, axis, axis=1).any()
-
-
-@pytest.mark.parametrize(("lag_s", "shorter"), [(0.1, 1 - (0.5 + 0.25) / 2 * 0.05 / 0.1), (0.01, 0.01)])
-def test_a_fin_that_may_lose_some_of_its_own_way_may_have_a_shorter_lag(robots, lag_s, shorter):
-    base = ExactBase(robots["mur"])
-    session = session_of(base, np.random.default_rng(2))
-    model = SessionLikelihood(base, known_noise(), session)
-    values = {"time_constant_s": lag_s, "own_time_constant_s": lag_s, "own_turn_time_constant_s": 3 * lag_s}
-    lag = mechanism_class("actuator_lag").at(values)
-    (effect,) = alternative_effects(model, [lag])
-    other = mechanism_class("actuator_lag").at({name: shorter * value for name, value in values.items()})
-    assert other.transient().shares == pytest.approx(lag.transient().shares)
-    np.testing.assert_allclose(effect, model.errors([other]) - model.errors([lag]), rtol=0, atol=1e-9)
-    assert not list(alternative_effects(model, [mechanism_class("actuator_lag").at({"time_constant_s": 0.1})]))

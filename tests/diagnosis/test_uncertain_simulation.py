@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 from exact_base import ExactBase, Losing, known_noise, session_of
+from simulated_session import simulated_noise, simulated_session
 
 from exact_model import ExactDynamics
-from swarmtwin.diagnosis.estimation import estimate, with_uncertain_simulation
+from swarmtwin.diagnosis.estimation import estimate, with_further_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.predictor import DynamicsModule
@@ -65,12 +66,12 @@ def test_values_are_as_uncertain_as_members_disagree(robots, gain):
     model = SessionLikelihood(Disagreeing(robot, gains), known_noise(), session(robot, 3, gain))
     kind = mechanism_class("gain_change")
     found = estimate(model, [kind.at({"gain": 1.0})])
-    certain, uncertain = found.covariance, with_uncertain_simulation(model, found).covariance
+    certain, uncertain = found.covariance, with_further_uncertainty(model, found).covariance
     expected = found.values[0] / gains.mean() * jackknife
     assert np.sqrt(uncertain - certain)[0, 0] == pytest.approx(expected, rel=0.03)
     alone = SessionLikelihood(ExactBase(robot), known_noise(), session(robot, 3, gain))
     known = estimate(alone, [kind.at({"gain": 1.0})])
-    assert with_uncertain_simulation(alone, known) is known
+    assert with_further_uncertainty(alone, known) is known
 
 
 @pytest.mark.parametrize("form", [1e-4, 0.14])
@@ -88,7 +89,7 @@ def test_values_are_as_uncertain_where_commands_are_lost(robots, form):
         mechanism_class("command_loss").at({"probability": 0.04}),
     ]
     found = estimate(model, begun)
-    gained, lost = np.sqrt(np.diag(with_uncertain_simulation(model, found).covariance - found.covariance))
+    gained, lost = np.sqrt(np.diag(with_further_uncertainty(model, found).covariance - found.covariance))
     by_members = found.values[0] / gains.mean() * jackknife
     of_form = form * abs(found.values[0] - 1)
     assert gained == pytest.approx(np.hypot(by_members, of_form), rel=0.1)  # one axis tells nearly all of it
@@ -130,3 +131,28 @@ def test_a_trained_model_is_corrected_by_one_member_wherever_it_is_asked(robots)
     ways = [one.twist(late) for one in (first, last)]
     ratio = (ways[0] * ways[1]).sum() / (ways[0] ** 2).sum()
     assert float(ratio) == pytest.approx(2.1 / 1.9, rel=1e-3)
+
+
+@pytest.mark.parametrize(("lag_s", "shorter"), [(0.1, 1 - (0.5 + 0.25) / 2 * 0.05 / 0.1), (0.01, 0.01)])
+def test_a_fin_that_may_lose_some_of_its_own_way_may_have_a_shorter_lag(robots, lag_s, shorter):
+    values = {"time_constant_s": lag_s, "own_time_constant_s": lag_s, "own_turn_time_constant_s": 3 * lag_s}
+    lag = mechanism_class("actuator_lag").at(values)
+    (other,) = lag.plausible_alternatives()
+    assert other.values() == pytest.approx({**lag.values(), **{key: shorter * value for key, value in values.items()}})
+    assert other.transient().shares == pytest.approx(lag.transient().shares)
+    assert not mechanism_class("actuator_lag").at({"time_constant_s": 0.1}).plausible_alternatives()
+
+
+@pytest.mark.parametrize("deviations", [1.0, 2.0])
+def test_play_of_wheels_is_known_as_well_as_how_fast_a_motor_without_its_wheel_is(robots, deviations):
+    robot = robots["mgr"]
+    settings = DiagnosisSettings.model_validate({"estimation": {"alternatives": deviations}})
+    play = mechanism_class("backlash").at({"travel_mm": 6.0, "coasting_mm": 3.0})
+    model = SessionLikelihood(
+        ExactBase(robot), simulated_noise(), simulated_session(robot, [play], 5), settings=settings
+    )
+    found = estimate(model, [play])
+    wider = np.sqrt(np.diag(with_further_uncertainty(model, found).covariance - found.covariance))
+    by_name = dict(zip(("travel_mm", "coasting_mm"), wider, strict=True))
+    assert by_name["travel_mm"] == pytest.approx(deviations * 0.15 * found.values[0])
+    assert by_name["coasting_mm"] == pytest.approx(0.0, abs=1e-6)

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from swarmtwin.diagnosis.cause_search import CausePosterior
-from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
+from swarmtwin.diagnosis.estimated_set import EstimatedSet
+from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange

@@ -7,7 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from swarmtwin.diagnosis.estimation import EstimatedSet, Progress, estimate
+from swarmtwin.diagnosis.estimated_set import EstimatedSet
+from swarmtwin.diagnosis.estimation import Progress, estimate
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.diagnosis.screening import Candidate, best_by_name, candidates, pairs

@@ -1,79 +1,17 @@
 """Step 3, its tool: the likeliest parameters of a set of mechanisms, how sure they are, and the evidence for it."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize
 
-from swarmtwin.diagnosis.likelihood import FittedMechanisms, MechanismClass, SessionLikelihood, loses_commands
+from swarmtwin.diagnosis.estimated_set import EstimatedSet
+from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.lost_commands import LostCommands
 from swarmtwin.diagnosis.random_effects import RandomEffects
 from swarmtwin.simulation.mechanism import Mechanism
-
-
-@dataclass(frozen=True)
-class EstimatedSet:
-    """A set of mechanisms, fitted to a session.
-
-    Attributes:
-        fitted: with the likeliest values.
-        values: (P,) these.
-        information: (P, P) curvature of the log posterior, random effects and forms integrated out.
-        by_run: (R, P) what each run would move the values by.
-        naive: (P, P) their covariance if runs were as independent as the likelihood has it, and nothing else unknown.
-        evidence: log marginal likelihood, nats: parameters integrated out by Laplace's method, prior uniform in bounds.
-        resampled: (P,) standard deviations of the values over resampled runs, where that was looked at.
-        common: (P, M) what is the same in all runs and may move the values, each by a standard deviation: none where
-            that was not looked at.
-    """
-
-    fitted: FittedMechanisms
-    values: np.ndarray
-    information: np.ndarray
-    by_run: np.ndarray
-    naive: np.ndarray
-    evidence: float
-    resampled: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    common: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-
-    @property
-    def mechanisms(self) -> tuple[Mechanism, ...]:
-        """The mechanisms with their values."""
-        return self.fitted.mechanisms
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names."""
-        return self.fitted.names
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Posterior covariance (P, P); wider where runs differ more than the likelihood expects (a sandwich).
-
-        To it adds what is the same in all runs (`common`).
-        """
-        posterior = np.linalg.inv(self.information)
-        runs = len(self.by_run)
-        if runs < 2 or not len(self.values):
-            return posterior
-        clustered = self.by_run.T @ self.by_run * (runs / (runs - 1))
-        wider = np.sqrt(np.maximum(np.diag(clustered) / np.maximum(np.diag(self.naive), 1e-300), 1.0))
-        if len(self.resampled):
-            wider = np.maximum(wider, self.resampled / np.sqrt(np.diag(posterior)))
-        covariance: np.ndarray = posterior * np.outer(wider, wider)
-        return covariance + self.common @ self.common.T if self.common.size else covariance
-
-    def beyond(self, shift: np.ndarray, moved: np.ndarray) -> "EstimatedSet":
-        """Return it with values `shift` (P,) higher, and (P, M) more of what may move them."""
-        return replace(self, values=self.values + shift, common=np.column_stack([*self.common.T, *moved.T]))
-
-    def draws(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Draw (count, P) values from the posterior."""
-        if not len(self.values):
-            return np.zeros((count, 0))
-        return rng.multivariate_normal(self.values, self.covariance, count, method="eigh")
 
 
 def estimate(
@@ -107,24 +45,26 @@ def estimate(
     return search.estimated(values)
 
 
-def with_uncertain_simulation(model: SessionLikelihood, found: EstimatedSet) -> EstimatedSet:
-    """Return a set that also knows how uncertain its values are since the simulation is.
+def with_further_uncertainty(model: SessionLikelihood, found: EstimatedSet) -> EstimatedSet:
+    """Return a set that also knows how uncertain its values are since simulation and mechanisms are.
 
     The simulation was learned from so many runs. Its members have seen different ones, and the values follow what each
     of them answers (the delete-a-group jackknife). How members disagree is a random effect of the session as well, but
     there it takes away only these very directions, and the simulation's own error is another one of their kind: so the
     values are moved here as if that were not known. Where commands are lost, other forms of the mechanisms beside that
     are not integrated out: to these values adds what they are less known for them. Both is asked of the transitions
-    whose commands arrived.
+    whose commands arrived. And what the values stand for may not be known well (`Mechanism.plausible_alternatives`).
     """
-    lossy = loses_commands(found.fitted.kinds)
-    if not len(found.values) or (model.members < 2 and not lossy):
+    if not len(found.values):
         return found
-    search, count = _Search(model, found.fitted.kinds), len(found.values)
+    moved = list(_alternatives(model, found.mechanisms))
+    lossy, count = loses_commands(found.fitted.kinds), len(found.values)
+    if model.members < 2 and not lossy:
+        return found.beyond(np.zeros(count), np.column_stack(moved)) if moved else found
+    search = _Search(model, found.fitted.kinds)
     here = model.whitened(found.mechanisms).ravel() if lossy else found.fitted.whitened.ravel()
     arrived = np.repeat(~found.fitted.is_lost, 3)[:, None]
     slopes = arrived * search.slopes(found.values, here)
-    moved = []
     if model.members >= 2:
         together = np.column_stack([slopes, model.disagreement_with(found.mechanisms)])
         gram = model.effects_of_certain_simulation.gram(together)
@@ -138,6 +78,14 @@ def with_uncertain_simulation(model: SessionLikelihood, found: EstimatedSet) -> 
         more, axes = np.linalg.eigh(unknown - known)
         moved.append(axes * np.sqrt(np.maximum(more, 0.0)))
     return found.beyond(np.zeros(count), np.column_stack(moved))
+
+
+def _alternatives(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> Iterator[np.ndarray]:
+    """Yield (P,) by what the values of mechanisms differ with each plausible alternative of one in its place."""
+    values, deviations = model.values(mechanisms), model.settings.estimation.alternatives
+    for place, one in enumerate(mechanisms):
+        for other in one.plausible_alternatives():
+            yield deviations * (model.values([*mechanisms[:place], other, *mechanisms[place + 1 :]]) - values)
 
 
 class _Search:

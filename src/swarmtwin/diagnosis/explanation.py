@@ -8,7 +8,8 @@ import numpy as np
 from scipy import stats
 
 from swarmtwin.diagnosis.cause_search import CausePosterior, is_of_exact_form
-from swarmtwin.diagnosis.estimation import EstimatedSet, estimate, with_uncertain_simulation
+from swarmtwin.diagnosis.estimated_set import EstimatedSet
+from swarmtwin.diagnosis.estimation import estimate, with_further_uncertainty
 from swarmtwin.diagnosis.left_over import LeftOver, left_over
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange, motion_noise_change
@@ -252,7 +253,7 @@ def _explained_by(
     mechanisms: Sequence[Mechanism], model: SessionLikelihood, posterior: CausePosterior, reference: ReferenceErrors
 ) -> Explanation:
     refined = model.explained_by(mechanisms)
-    best = with_uncertain_simulation(refined, estimate(refined, mechanisms, polish=True, final=True))
+    best = with_further_uncertainty(refined, estimate(refined, mechanisms, polish=True, final=True))
     gained = best.fitted.total - refined.evaluate([]).total
     noise = motion_noise_change(refined, best.mechanisms, lambda: reference.motion_noise_log)
     left = left_over(refined, best, gained, reference)

@@ -9,7 +9,7 @@ from scipy import special
 
 from swarmtwin.diagnosis.beyond_reference import nats_beyond_reference
 from swarmtwin.diagnosis.error_history import nats_by_history
-from swarmtwin.diagnosis.estimation import EstimatedSet
+from swarmtwin.diagnosis.estimated_set import EstimatedSet
 from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density

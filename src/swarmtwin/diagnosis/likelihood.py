@@ -17,7 +17,6 @@ from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise, log_density
 from swarmtwin.diagnosis.random_effects import (
     RandomEffects,
-    alternative_effects,
     form_effects,
     member_disagreement,
     unit_effects,
@@ -196,10 +195,7 @@ class SessionLikelihood(SessionErrors):
     def any_forms(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> np.ndarray:
         """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
         larger = self.settings.estimation.form / self.settings.likelihood.form
-        forms = self._forms(mechanisms, is_quick, of_values=True) * larger
-        deviations = self.settings.estimation.alternatives
-        others = [deviations * one[..., None] for one in alternative_effects(self, mechanisms)]
-        return self._whitened(np.concatenate([forms, *others], axis=-1))
+        return self._whitened(self._forms(mechanisms, is_quick, of_values=True) * larger)
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""

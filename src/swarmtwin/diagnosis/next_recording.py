@@ -9,7 +9,8 @@ import torch
 from scipy.linalg import block_diag
 
 from swarmtwin.diagnosis.detection_limits import FoundLimit
-from swarmtwin.diagnosis.estimation import EstimatedSet, estimate
+from swarmtwin.diagnosis.estimated_set import EstimatedSet
+from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import Noise

@@ -271,14 +271,6 @@ def form_effects(
             yield from other_forms(one, change, functions, model.robot, model.settings.likelihood, of_values)
 
 
-def alternative_effects(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> Iterator[np.ndarray]:
-    """Yield (N, 3) by what errors change with each plausible alternative of a mechanism in its place."""
-    for one in mechanisms:
-        others = [other for other in mechanisms if other is not one]
-        for other in one.plausible_alternatives():
-            yield model.errors_near([*others, other], mechanisms) - model.errors(mechanisms)
-
-
 def other_forms(
     mechanism: Mechanism,
     change: np.ndarray,

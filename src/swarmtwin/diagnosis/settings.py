@@ -163,7 +163,8 @@ class EstimationSettings(StrictModel):
         form: as `likelihood.form`, for intervals: a form that is wrong by a seventh of its effect, whose square is
             `search.least_share_beside`.
         alternatives: standard deviations of a mechanism's plausible alternatives that intervals allow for: of how much
-            of its own way a fin loses, of which no more is known than with what speeds servos are sold.
+            of its own way a fin loses, of which no more is known than with what speeds servos are sold, and of how much
+            faster a motor runs that takes up the play of its gear.
     """
 
     rounds: Count = 8

@@ -278,7 +278,7 @@ class Mechanism(StrictModel, ABC):
         return self.values()
 
     def plausible_alternatives(self) -> Sequence["Mechanism"]:
-        """Return what it may be instead, each a standard deviation away, where how it acts is not known well."""
+        """Return what it may be instead, each a standard deviation away: its values may not mean just what they say."""
         return ()
 
     # link
