@@ -54,6 +54,20 @@ def test_beside_others_the_points_are_looked_at_again_that_promised_most_alone(r
     assert abs(best.start[-1].width - 22.3) < 2.0
 
 
+def test_a_point_that_would_do_the_opposite_takes_no_place_of_one_that_promises_something(robots):
+    """A band has no width below zero, however much a linear step to it would gain."""
+    base = ExactBase(robots["mur"])
+    session = session_of(base, np.random.default_rng(3), without_small_commands(8.0, 1.1))
+    model = SessionLikelihood(base, known_noise(), session)
+    kinds = {one: mechanism_class(one) for one in ("dead_band", "saturation")}
+    limited = model.evaluate([kinds["saturation"].at({"limit": 40.0})])
+    alone = candidates(model, model.evaluate([]), kinds)
+    found, anew = (
+        best_by_name(model, limited, candidates(model, limited, kinds, known), most=1)[0] for known in (alone, ())
+    )
+    assert found.nats > 0.95 * anew.nats > 50
+
+
 def test_pairs_begin_where_each_of_both_leads_to(robots):
     base = ExactBase(robots["mur"])
     session = session_of(base, np.random.default_rng(3), without_small_commands(22.3, 0.9))

@@ -156,7 +156,7 @@ class _Limits:
         known: list[tuple[float, float]] = []
         rival: Mechanism | None = None
         for number in range(rounds):
-            if number == 0:  # it hardly changes with the size: where that doubles, by the log of two
+            if number < 2:  # it hardly changes with the size
                 price = self.around.price(cause.at(size))
             factor, rival = self._wanted(cause.at(size), price, rivals)
             if size == cause.largest and factor > 1:

@@ -168,7 +168,11 @@ def _promising(
         return points
     columns, rows = _side_by_side(again)
     gram, side = model.effects.least_squares(columns, -here.ravel())
-    nats = [float(side[own] @ np.linalg.lstsq(gram[np.ix_(own, own)], side[own], rcond=1e-8)[0]) for own in rows]
+    parameters = again[0].form.parameters_of(model.robot, model.session.conditions)
+    nats = [
+        _linear_step(one.off, parameters, gram[np.ix_(own, own)], side[own])[1]
+        for one, own in zip(again, rows, strict=True)
+    ]
     best = [again[place].point for place in np.argsort(nats)[::-1][:most]]
     left_out = [one.point for one in again if one.point not in best]
     return [point for point in points if point not in left_out]
@@ -221,19 +225,42 @@ def _candidate(
         responses.append(change.ravel())
     columns = np.stack(responses, axis=-1)
     gram, side = model.effects.least_squares(columns, -here.ravel())
-    solution = np.linalg.lstsq(gram, side, rcond=1e-8)[0]
-    values = dict(begun)
-    for place, (key, value) in enumerate(moved.items()):
-        parameter, null = parameters[key], nulls[key]
-        values[key] = float(np.clip(null + solution[place] * (value - null), parameter.low, parameter.high))
-        if null in (parameter.low, parameter.high) and solution[place] <= 0:
-            solution, values[key] = np.zeros_like(solution), value
     off = {key: value - nulls[key] for key, value in moved.items()}
-    if len(off) == 1:
-        key, by = next(iter(off.items()))
-        solution = np.array([(values[key] - nulls[key]) / by]) * (solution != 0)
-    nats = float(solution @ side - solution @ gram @ solution / 2)
+    factors, nats = _linear_step(off, parameters, gram, side)
+    values = dict(begun)
+    for (key, value), factor in zip(moved.items(), factors, strict=False):
+        parameter, null = parameters[key], nulls[key]
+        stays = factor <= 0 and null in (parameter.low, parameter.high)  # it begins where it was looked at
+        stepped = value if stays else null + factor * off[key]
+        values[key] = float(np.clip(stepped, parameter.low, parameter.high))
     return Candidate(name, nats, (*beside.mechanisms, kind.at(values)), columns, begun, off, start)
+
+
+def _linear_step(
+    off: Mapping[str, float], parameters: Mapping[str, Parameter], gram: np.ndarray, side: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return by how many times what parameters are `off` a linear step moves them (q,), and the nats that it promises.
+
+    One parameter alone stays within its bounds; of several, one that would go beyond where it does nothing promises
+    nothing.
+
+    Args:
+        off: by how much each parameter is off where it does nothing, where the columns were looked at.
+        parameters: of the mechanism.
+        gram: (q, q) products of the columns with each other.
+        side: (q,) and with what is left.
+    """
+    factors = np.linalg.lstsq(gram, side, rcond=1e-8)[0]
+    promised = factors
+    for place, (key, by) in enumerate(off.items()):
+        one = parameters[key]
+        assert one.null_value is not None
+        lowest, highest = sorted(((one.low - one.null_value) / by, (one.high - one.null_value) / by))
+        if len(off) == 1:
+            factors = promised = np.clip(factors, lowest, highest)
+        elif factors[place] <= 0 and one.null_value in (one.low, one.high):
+            promised = np.zeros_like(factors)
+    return factors, float(promised @ side - promised @ gram @ promised / 2)
 
 
 def _tried(model: SessionLikelihood, beside: FittedMechanisms, here: np.ndarray, one: Candidate) -> Candidate:

@@ -221,7 +221,7 @@ class SearchSettings(StrictModel):
     most_screened: Count = 1500
     most_behind: Positive = 20.0
     grid_points: Count = 32
-    tried_points: Count = 2
+    tried_points: Count = 3
     fitted_a_set: Count = 4
     fitted_pairs: Count = 4
     kept_sets: Count = 2

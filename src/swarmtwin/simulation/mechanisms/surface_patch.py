@@ -36,7 +36,7 @@ class _Disc(NamedTuple):
         x_mm, y_mm = traction.position.T
         together = np.column_stack([traction.slope, traction.curvature])
         found = []
-        for some in np.array_split(places, math.ceil(len(places) * len(x_mm) / at_once)):
+        for some in np.array_split(places, max(math.ceil(len(places) * len(x_mm) / at_once), 1)):
             inside = (x_mm - some[:, :1]) ** 2 + (y_mm - some[:, 1:2]) ** 2 < some[:, 2:] ** 2
             slope, curvature = (inside.astype(float) @ together).T
             curvature += 1e-9
