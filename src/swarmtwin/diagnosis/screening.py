@@ -276,9 +276,9 @@ def _tried(model: SessionLikelihood, beside: FittedMechanisms, here: np.ndarray,
     there, others = one.form.at({**one.held, key: null + off}), arriving(beside.mechanisms)
     error = model.whitened_near([*others, one.start[-1]], others)
     error[beside.is_lost] = 0.0
-    gram, side = model.effects.least_squares(one.columns, -here.ravel())
-    attained = (model.effects.loss(here.ravel()) - model.effects.loss(error.ravel())) / 2
-    on_grid = float(side[0] - gram[0, 0] / 2)
+    products = model.effects.gram(np.column_stack([one.columns, here.ravel(), error.ravel()]))
+    attained = float(products[1, 1] - products[2, 2]) / 2
+    on_grid = float(-products[0, 1] - products[0, 0] / 2)
     start = (*beside.mechanisms, there) if on_grid > attained else one.start
     return replace(one, nats=max(attained, on_grid), start=start)
 

@@ -18,9 +18,9 @@ from torch import Tensor
 
 from swarmtwin.diagnosis.measured_session import SentCommands
 from swarmtwin.dynamics.predictor import DynamicsModel
-from swarmtwin.geometry import compose, displacement_between, log_map
+from swarmtwin.geometry import compose, displacement_between
 from swarmtwin.learning.situation import Situation
-from swarmtwin.simulation.arcs import twist_between
+from swarmtwin.simulation.arcs import log_map, twist_between
 from swarmtwin.simulation.base_twists import Answers, BaseTwists
 from swarmtwin.simulation.commands_in_force import Delays, InForce, commands_for, late_or_gradual
 from swarmtwin.simulation.conditions import SessionConditions

@@ -7,8 +7,9 @@ numba is installed.
 import torch
 from torch import Tensor
 
+from swarmtwin import geometry
 from swarmtwin.compilable import can_pass_over
-from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
+from swarmtwin.geometry import compose, displacement_between
 
 
 def moved_along(pose: Tensor, twist: Tensor, share: float = 1.0) -> Tensor:
@@ -20,7 +21,7 @@ def moved_along(pose: Tensor, twist: Tensor, share: float = 1.0) -> Tensor:
         from swarmtwin.simulation import compiled_arcs
 
         return torch.from_numpy(compiled_arcs.moved_along(*(one.contiguous().numpy() for one in (pose, twist)), share))
-    return compose(pose, exp_map(twist * share))
+    return compose(pose, geometry.exp_map(twist * share))
 
 
 def twist_between(start: Tensor, end: Tensor) -> Tensor:
@@ -32,4 +33,22 @@ def twist_between(start: Tensor, end: Tensor) -> Tensor:
         from swarmtwin.simulation import compiled_arcs
 
         return torch.from_numpy(compiled_arcs.twist_between(*(one.contiguous().numpy() for one in (start, end))))
-    return log_map(displacement_between(start, end))
+    return geometry.log_map(displacement_between(start, end))
+
+
+def exp_map(twist: Tensor) -> Tensor:
+    """Return the displacements (N, 3) of twists (N, 3) per period, as `geometry.exp_map`."""
+    if can_pass_over(twist):
+        from swarmtwin.simulation import compiled_arcs
+
+        return torch.from_numpy(compiled_arcs.displacement_along(twist.contiguous().numpy()))
+    return geometry.exp_map(twist)
+
+
+def log_map(displacement: Tensor) -> Tensor:
+    """Return the twists (N, 3) per period that lead to displacements (N, 3), as `geometry.log_map`."""
+    if can_pass_over(displacement):
+        from swarmtwin.simulation import compiled_arcs
+
+        return torch.from_numpy(compiled_arcs.twist_along(displacement.contiguous().numpy()))
+    return geometry.log_map(displacement)

@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 
 from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
-from swarmtwin.geometry import exp_map, log_map, rotate
+from swarmtwin.geometry import rotate
 from swarmtwin.learning.situation import Situation
-from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics, CrossFitted
+from swarmtwin.simulation.arcs import exp_map
+from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics, CrossFitted, twist_of
 from swarmtwin.simulation.mechanism import Moment
 
 
@@ -146,7 +147,7 @@ class BaseTwists:
     def displacement(self) -> Tensor:
         """Return the model's own answer to the present command, displacements (N, 3), with nothing beyond it."""
         before, earlier = self.commands[1], self.commands[2]
-        return self._predicted(self.commands[0], before, earlier)
+        return self.dynamics.predict(self._situation(self.commands[0], before, earlier)).double()
 
     def drawn_displacement(self, member: Tensor, rng: torch.Generator) -> Tensor:
         """Draw displacements (N, 3) from what the model's members (N,) answer to the present command.
@@ -224,10 +225,7 @@ class BaseTwists:
             yield torch.cat([others[now], others[before]], dim=-1), self.undisturbed._answer(now, before)
 
     def _ask(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
-        return log_map(self._predicted(command, previous, earlier))
-
-    def _predicted(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Tensor:
-        return self.dynamics.predict(self._situation(command, previous, earlier)).double()
+        return twist_of(self.dynamics, self._situation(command, previous, earlier))
 
     def _situation(self, command: Tensor, previous: Tensor, earlier: Tensor) -> Situation:
         moment = self.moment

@@ -49,6 +49,34 @@ def twist_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 @compiled
+def displacement_along(twist: np.ndarray) -> np.ndarray:
+    """Return what `geometry.exp_map` says of twists (N, 3)."""
+    displacement = np.empty_like(twist)
+    for row in range(len(twist)):
+        half = 0.5 * twist[row, 2]
+        chord = math.sin(half) / half if half != 0.0 else 1.0
+        along, across = chord * math.cos(half), chord * math.sin(half)
+        displacement[row, 0] = along * twist[row, 0] - across * twist[row, 1]
+        displacement[row, 1] = across * twist[row, 0] + along * twist[row, 1]
+        displacement[row, 2] = twist[row, 2]
+    return displacement
+
+
+@compiled
+def twist_along(displacement: np.ndarray) -> np.ndarray:
+    """Return what `geometry.log_map` says of displacements (N, 3)."""
+    twist = np.empty_like(displacement)
+    for row in range(len(displacement)):
+        half = 0.5 * displacement[row, 2]
+        arc = half / math.sin(half) if half != 0.0 else 1.0
+        along, across = arc * math.cos(half), arc * math.sin(half)
+        twist[row, 0] = along * displacement[row, 0] + across * displacement[row, 1]
+        twist[row, 1] = along * displacement[row, 1] - across * displacement[row, 0]
+        twist[row, 2] = displacement[row, 2]
+    return twist
+
+
+@compiled
 def _wrapped(angle: float) -> float:
     """Return an angle in (−π, π]."""
     if angle > math.pi or angle <= -math.pi:

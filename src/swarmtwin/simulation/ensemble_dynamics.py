@@ -10,12 +10,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.dynamics.predictor import DynamicsModule, NetworkDynamics
-from swarmtwin.geometry import exp_map, log_map
+from swarmtwin.dynamics.predictor import DynamicsModel, DynamicsModule, NetworkDynamics
 from swarmtwin.learning.encoding import Encoding, Feature
 from swarmtwin.learning.ensemble import Ensemble
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot, SituationPart
+from swarmtwin.simulation.arcs import exp_map, log_map
 from swarmtwin.simulation.conditions import SessionConditions
 
 KNOWN_INPUTS: tuple[SituationPart, ...] = ("command", "previous_command", "pose", "velocity")
@@ -174,13 +174,13 @@ class CorrectedDynamics(DynamicsModule):
 
     def twist(self, situation: Situation, member: int | None = None) -> Tensor:
         """Return twists (N, 3), float64, over a nominal period, with the mean correction or one member's."""
-        alone = log_map(self.dynamics.predict(situation).double())
+        alone = twist_of(self.dynamics, situation)
         return alone + self.correction.twist(situation, member) if self.correction else alone
 
     def member_twists(self, situation: Situation) -> Tensor:
         """Return the twists with every member's correction, (M, N, 3)."""
         assert self.correction is not None
-        return log_map(self.dynamics.predict(situation).double()) + self.correction.member_twists(situation)
+        return twist_of(self.dynamics, situation) + self.correction.member_twists(situation)
 
 
 BaseDynamics = EnsembleDynamics | CorrectedDynamics
@@ -230,4 +230,15 @@ class CrossFitted(DynamicsModule):
 
     def predict(self, situation: Situation) -> Tensor:
         """Return the expected displacements (N, 3) of the reference's own transitions, in their order, float64."""
-        return exp_map(self.base.member_twists(situation)[self.fold, np.arange(len(self.fold))].double())
+        return exp_map(self.twist(situation))
+
+    def twist(self, situation: Situation) -> Tensor:
+        """Return their twists (N, 3), float64, over a nominal period."""
+        return self.base.member_twists(situation)[self.fold, np.arange(len(self.fold))].double()
+
+
+def twist_of(dynamics: DynamicsModel, situation: Situation) -> Tensor:
+    """Return the expected twists (N, 3), float64, over a nominal period that a model answers, or its displacements'."""
+    if isinstance(dynamics, EnsembleDynamics | CorrectedDynamics | OneMember | CrossFitted):
+        return dynamics.twist(situation)
+    return log_map(dynamics.predict(situation).double())

@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.geometry import exp_map, log_map
-from swarmtwin.simulation.arcs import moved_along
+from swarmtwin.simulation.arcs import exp_map, log_map, moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.mechanism import Moment
@@ -276,19 +275,25 @@ def _relaxed_twist(
     if not any(lags):
         return target, target
     late = start - target
-    on_average, left = (start.new_tensor(part) for part in zip(*(left_over(share, lag) for lag in lags), strict=True))
-    ahead, aside, turn = (
-        _Fading(target[:, axis], late[:, axis], lags[axis] / share, *left_over(share, lags[axis])) for axis in range(3)
-    )
-    order = torch.stack([-turn.before(aside), turn.before(ahead), torch.zeros_like(late[:, 2])], dim=-1)
-    return target + late * on_average + share * order, target + late * left
+    ahead, aside, turn = (_Fading(lag / share, *left_over(share, lag)) for lag in lags)
+    on_average, left = start.new_tensor([ahead[1:], aside[1:], turn[1:]]).T
+    of_turn = share * start.new_tensor([-turn.order, turn.order])
+    of_others = share * start.new_tensor([-aside.order, ahead.order])
+    mixed = share * start.new_tensor([-turn.mixed(aside), turn.mixed(ahead)])
+    late_others, late_turn = late[:, :2].flip(1), late[:, 2:]
+    order = late_turn * (of_turn * target[:, :2].flip(1) + mixed * late_others)
+    mean = target + late * on_average
+    mean[:, :2] += order - target[:, 2:] * of_others * late_others
+    return mean, target + late * left
 
 
 class _Fading(NamedTuple):
-    """One axis of twists over a piece of a period, taken as the unit of time: target + late · exp(−t / lag), (N,)."""
+    """How one axis of twists goes over a piece of a period, taken as the unit of time: target + late · exp(−t / lag).
 
-    target: Tensor
-    late: Tensor
+    Of two of them half the integral over s < t of one at s times the other at t, less the same with s and t changed, is
+    late · other target · order − target · other late · other order + late · other late · mixed.
+    """
+
     lag: float
     on_average: float
     left: float
@@ -298,13 +303,11 @@ class _Fading(NamedTuple):
         """Half the integral of exp(−s / lag) − exp(−t / lag) over s < t."""
         return (self.lag * (1 + self.left) - 2 * self.lag * self.on_average) / 2
 
-    def before(self, other: "_Fading") -> Tensor:
-        """Return half the integral over s < t of this at s times the other at t, less the same with s and t changed."""
+    def mixed(self, other: "_Fading") -> float:
+        """Half the integral of exp(−s / lag − t / other lag), less the same with s and t changed, over s < t."""
         together = self.lag * other.lag / (self.lag + other.lag) if self.lag and other.lag else 0.0
         both, _ = left_over(1.0, together)
-        mixed = self.lag * (other.on_average - both) - other.lag * (self.on_average - both)
-        moved: Tensor = self.late * other.target * self.order - self.target * other.late * other.order
-        return moved + self.late * other.late * (mixed / 2)
+        return (self.lag * (other.on_average - both) - other.lag * (self.on_average - both)) / 2
 
 
 def stopped_by_friction(

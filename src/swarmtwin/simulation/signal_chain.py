@@ -13,8 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from swarmtwin.geometry import compose, displacement_between, exp_map, log_map, rotate
-from swarmtwin.simulation.arcs import moved_along
+from swarmtwin.geometry import compose, displacement_between, rotate
+from swarmtwin.simulation.arcs import exp_map, log_map, moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.efforts import by_effort, scaled_by_effort, slowed
 from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
