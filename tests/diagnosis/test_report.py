@@ -42,6 +42,7 @@ from swarmtwin.diagnosis.result import (
     EstimatedCause,
     Gain,
     UnitDifference,
+    UnitFactor,
 )
 from swarmtwin.diagnosis.saved_diagnosis import SavedDiagnosis, read_result, save_findings
 from swarmtwin.errors import UserError
@@ -241,9 +242,8 @@ def test_nobody_must_know_statistics_to_read_what_is_not_folded_away(tmp_path):
 
 OWN_UNIT = UnitDifference(
     vehicle="7",
-    way=Estimate(value=0.86, low=0.845, high=0.875, unit=""),
-    turn=Estimate(value=1.01, low=0.995, high=1.025, unit=""),
-    usual=0.05,
+    way=UnitFactor(value=0.86, low=0.845, high=0.875, unit="", usual=0.05),
+    turn=UnitFactor(value=1.01, low=0.995, high=1.025, unit="", usual=0.05),
 )
 
 
@@ -296,7 +296,7 @@ def test_every_verdict_has_its_page_and_loads_nothing(tmp_path, verdict, changes
 
 @pytest.mark.parametrize("has_two_wheels", [True, False])
 def test_a_units_left_wheel_is_told_beside_its_right_one_where_it_has_two(tmp_path, has_two_wheels):
-    sides = Estimate(value=0.9, low=0.88, high=0.92, unit="") if has_two_wheels else None
+    sides = UnitFactor(value=0.9, low=0.88, high=0.92, unit="", usual=0.03) if has_two_wheels else None
     unit = OWN_UNIT.model_copy(update={"left_to_right": sides})
     page = page_of(made_session(made_result("no_gap", units=(unit,)), moved_as_simulated), tmp_path)
     assert ("its left wheel is 0.90 times as fast beside the right one" in page.above) == has_two_wheels

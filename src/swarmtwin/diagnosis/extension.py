@@ -22,6 +22,7 @@ from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_co
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.own_units import with_own_unit
 from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.unit_spread import UnitSpread
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.simulation.mechanisms import noise_change
@@ -158,7 +159,7 @@ def _extended(reference: Reference, simulation: Simulation, explained: Explanati
     if mechanisms:
         alone = SessionLikelihood(
             *(reference.base, reference.noise, explained.model.session),
-            unit_spread=0.0,
+            unit_spread=UnitSpread(0.0),
             discrepancy=reference.discrepancy,
             settings=reference.settings,
         )

@@ -25,6 +25,7 @@ from swarmtwin.diagnosis.random_effects import (
 from swarmtwin.diagnosis.session_errors import SessionErrors
 from swarmtwin.diagnosis.session_prediction import arrival_probability
 from swarmtwin.diagnosis.settings import DiagnosisSettings
+from swarmtwin.diagnosis.unit_spread import UnitSpread
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.simulation.ensemble_dynamics import CrossFitted
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
@@ -86,7 +87,7 @@ class SessionLikelihood(SessionErrors):
         noise: of errors that it was not fitted to.
         session: of N transitions.
         known_vehicles: ids of the vehicles that the simulation was learned from; None: all of the session.
-        unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
+        unit_spread: by how much other vehicles are expected to differ; None: by the settings' prior.
         discrepancy: what the simulation gets wrong of its own reference as well; None: nothing is known of that.
         settings: of the diagnosis; None: the defaults.
         explained: mechanisms that are known to be there, so that the noise is that of what they leave.
@@ -100,7 +101,7 @@ class SessionLikelihood(SessionErrors):
         noise: Noise,
         session: MeasuredSession,
         known_vehicles: tuple[str, ...] | None = None,
-        unit_spread: float | None = None,
+        unit_spread: UnitSpread | None = None,
         discrepancy: Discrepancy | None = None,
         settings: DiagnosisSettings | None = None,
         explained: Sequence[Mechanism] = (),

@@ -8,7 +8,7 @@ import numpy as np
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
-from swarmtwin.diagnosis.result import Estimate, UnitDifference
+from swarmtwin.diagnosis.result import UnitDifference, UnitFactor
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.mechanism import Mechanism, Parameter, offered
@@ -26,25 +26,30 @@ def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> t
     effects = model.effects if loses_commands([type(one) for one in causes]) else model.effects_with(causes)
     directions, sizes = np.stack(list(unit_effects(model)), axis=-1), effects.sizes(model.evaluate(causes).whitened)
     motion = model.predictor.twist(arriving(causes)).numpy()
-    transitions, told = model.session.transitions, []
+    transitions, usual, told = model.session.transitions, model.unit_spread.of, []
     for vehicle in model.unknown_vehicles:
         own = transitions.vehicle == transitions.vehicles.index(vehicle)
-        way, turn = (_factor(effects, sizes, directions[own, axis], motion[own, axis]) for axis in (0, 2))
+        way, turn = (
+            _factor(effects, sizes, directions[own, axis], motion[own, axis], usual(name))
+            for axis, name in ((0, "ahead"), (2, "turn"))
+        )
         sides, actuation = None, model.robot.actuation
         if actuation.kind == "wheel" and not actuation.steering and (track_mm := model.session.conditions.track_mm):
             turned = -motion[own, 0] / track_mm  # a left wheel that is faster turns it to the right
-            sides = _factor(effects, sizes, directions[own, 2], turned)
-        told.append(UnitDifference(vehicle=vehicle, way=way, turn=turn, left_to_right=sides, usual=model.unit_spread))
+            sides = _factor(effects, sizes, directions[own, 2], turned, usual("left_to_right"))
+        told.append(UnitDifference(vehicle=vehicle, way=way, turn=turn, left_to_right=sides))
     return tuple(told)
 
 
-def _factor(effects: RandomEffects, sizes: np.ndarray, directions: np.ndarray, motion: np.ndarray) -> Estimate:
+def _factor(
+    effects: RandomEffects, sizes: np.ndarray, directions: np.ndarray, motion: np.ndarray, usual: float
+) -> UnitFactor:
     """Return the factor on motion (n,) along one axis that sizes (K,) of effects with directions (n, k) amount to."""
     count = directions.shape[1]
     share = motion @ directions / max(float(motion @ motion), 1e-12)
     value = 1.0 + float(share @ sizes[:count])
     half = 1.96 * math.sqrt(float(share @ effects.inverse[:count, :count] @ share))
-    return Estimate(value=value, low=value - half, high=value + half, unit="")
+    return UnitFactor(value=value, low=value - half, high=value + half, unit="", usual=usual)
 
 
 class OwnGain(gain_change.Config):

@@ -9,13 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.session_errors import SessionErrors
-from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import LikelihoodSettings
+from swarmtwin.diagnosis.unit_spread import unit_changes
 from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
-from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 from swarmtwin.simulation.mechanism import Mechanism
 
 
@@ -161,91 +159,9 @@ def _unit_effects(model: SessionErrors, center: Tensor, commands: tuple[Tensor, 
     transitions = model.session.transitions
     for vehicle in model.unknown_vehicles:
         own = torch.as_tensor(transitions.vehicle == transitions.vehicles.index(vehicle))[:, None]
-        changes = unit_changes(model.predictor, center, model.session, commands)
-        for change in changes + unit_starts(model.predictor, center, model.session, commands):
-            twist = center + torch.where(own, change, torch.zeros_like(change)) * model.unit_spread
+        for name, change in unit_changes(model.predictor, center, model.session, commands).items():
+            twist = center + torch.where(own, change, torch.zeros_like(change)) * model.unit_spread.of(name)
             yield model.changes_of(twist, center)
-
-
-def unit_changes(
-    predictor: SessionPredictor, twist: Tensor, session: MeasuredSession, commands: tuple[Tensor, Tensor] | None = None
-) -> list[Tensor]:
-    """Return by what simulated twists (N, 3) change, per unit of each difference that a unit may have.
-
-    It goes and turns farther, left and right differ, and the time constant with which it follows is longer.
-
-    Args:
-        predictor: of the simulation.
-        twist: of which differences are looked at.
-        session: of N transitions.
-        commands: (N, m) in force now and before; None: as they were sent.
-    """
-    changes = []
-    for axis in range(3):
-        change = torch.zeros_like(twist)
-        change[:, axis] = twist[:, axis]
-        changes.append(change)
-    if commands is None:
-        assert session.situation.command is not None
-        assert session.situation.previous_command is not None
-        commands = session.situation.command, session.situation.previous_command
-    actuation, track_mm = session.transitions.robot.actuation, session.conditions.track_mm
-    if actuation.kind == "wheel" and track_mm:
-        apart = wheel_travel(twist, track_mm) * torch.tensor([[0.5, -0.5]], dtype=twist.dtype)
-        changes.append(twist_of_wheels(apart, torch.zeros_like(twist), track_mm))
-    if actuation.steering:
-        step_rad = 0.05  # small beside any steering range, large beside float32
-        askew = _by_other_commands(predictor, session, commands, (actuation.steering,), math.degrees(step_rad))
-        changes.append(askew / step_rad)
-    own_lags = session.conditions.own_lags
-    if any(own_lags):
-        now, before = (predictor.base_twist(command, command) for command in commands)
-        changes.append(torch.tensor(own_lags, dtype=twist.dtype) * (before - now))
-    return changes
-
-
-def _by_other_commands(
-    predictor: SessionPredictor,
-    session: MeasuredSession,
-    commands: tuple[Tensor, Tensor],
-    columns: Sequence[str],
-    step: float,
-) -> Tensor:
-    """Return by what simulated twists (N, 3) change where columns of the commands now and before are larger."""
-    others = [command.clone() for command in commands]
-    for column in columns:
-        for command in others:
-            command[:, session.transitions.robot.command_columns.index(column)] += step
-    return predictor.base_twist(*others) - predictor.base_twist(*commands)
-
-
-def unit_starts(
-    predictor: SessionPredictor, twist: Tensor, session: MeasuredSession, commands: tuple[Tensor, Tensor]
-) -> list[Tensor]:
-    """Return by what simulated twists (N, 3) change where a unit's actuators start to move at a smaller command.
-
-    Wheels are faster by as much at any speed, per unit of the root mean square of their own; what thrusts does as if
-    its effort were larger, per unit of that of the efforts.
-    """
-    actuation, track_mm = session.transitions.robot.actuation, session.conditions.track_mm
-    if actuation.effort and actuation.kind == "thrust":
-        places = [session.transitions.robot.command_columns.index(column) for column in actuation.effort]
-        usual = float(commands[0][:, places].square().mean().sqrt())
-        step = 0.02 * usual
-        return [_by_other_commands(predictor, session, commands, actuation.effort, step) * usual / step]
-    if actuation.kind == "wheel" and track_mm:
-        faster = _of_one_size(wheel_travel(twist, track_mm))
-        sides = (torch.tensor(side, dtype=twist.dtype) for side in ([[1.0, 1.0]], [[0.5, -0.5]]))
-        return [twist_of_wheels(faster * side, torch.zeros_like(twist), track_mm) for side in sides]
-    ahead = torch.zeros_like(twist)
-    ahead[:, :1] = _of_one_size(twist[:, :1])
-    return [ahead]
-
-
-def _of_one_size(way: Tensor) -> Tensor:
-    """Return ways (N, k) of the same sign and the size of their root mean square; those close to zero stay there."""
-    usual = way.square().mean().sqrt().clamp(min=1e-9)
-    return torch.tanh(4 * way / usual) * usual
 
 
 def form_effects(

@@ -16,7 +16,7 @@ from swarmtwin.diagnosis.quick_dynamics import imitation_of, table_of
 from swarmtwin.diagnosis.rolled_out_training import learn_rolled_out
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings, ReferenceSettings
-from swarmtwin.diagnosis.unit_spread import estimated_unit_spread
+from swarmtwin.diagnosis.unit_spread import UnitSpread, estimated_unit_spread
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
 from swarmtwin.errors import UserError
@@ -51,8 +51,8 @@ class Reference:
         vehicles: ids of the vehicles it was learned from.
         discrepancy: what the simulation gets wrong of these runs though it has not seen them; None: all of that counts
             as a gap.
-        unit_spread: by which share other vehicles are expected to differ from these (standard deviation): what the
-            robot's file states, else as these differ from each other, else the settings' prior.
+        unit_spread: by which shares other vehicles are expected to differ from these: by what the robot's file states,
+            else as these differ from each other, else by the settings' prior.
         settings: of every diagnosis with this reference.
         tabulated: the simulation by a table of a model that looks at commands alone, which sessions are compared with
             in its place; None: with itself.
@@ -66,7 +66,7 @@ class Reference:
     cross_fitted: CrossFitted
     vehicles: tuple[str, ...]
     discrepancy: Discrepancy | None
-    unit_spread: float
+    unit_spread: UnitSpread
     settings: DiagnosisSettings
     tabulated: BaseDynamics | None = None
     quick: BaseDynamics | None = None
@@ -175,9 +175,9 @@ class Reference:
             discrepancy = Discrepancy.learn(alone, settings.likelihood.discrepancy)
         transitions = session.transitions
         vehicles = tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle))
-        unit_spread = base.robot.unit_spread
-        if unit_spread is None:
-            unit_spread = estimated_unit_spread(predictor, noise, errors, session, twist, settings.units)
+        unit_spread = estimated_unit_spread(predictor, noise, errors, session, twist, settings.units)
+        if stated := base.robot.unit_spread:
+            unit_spread = UnitSpread(stated)
         return cls(base, noise, session, cross_fitted, vehicles, discrepancy, unit_spread, settings)
 
     def likelihood_of(self, session: MeasuredSession) -> SessionLikelihood:

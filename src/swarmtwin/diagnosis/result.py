@@ -186,6 +186,21 @@ class NextRecording(StrictModel):
     command: str
 
 
+class UnitFactor(Estimate):
+    """By which factor a vehicle does something otherwise than is simulated; 1 as simulated.
+
+    Attributes:
+        usual: standard deviation by which units are expected to differ in it.
+    """
+
+    usual: Number
+
+    @property
+    def is_unusual(self) -> bool:
+        """Whether it differs by more than one standard deviation of units, and of chance by two."""
+        return abs(self.value - 1.0) > self.usual and not self.low <= 1.0 <= self.high
+
+
 class UnitDifference(StrictModel):
     """What a vehicle that the reference does not know does otherwise: no gap, since units differ by fabrication.
 
@@ -194,22 +209,20 @@ class UnitDifference(StrictModel):
         way: how far it goes ahead, over what is simulated.
         turn: how far it turns, likewise.
         left_to_right: how fast its left wheel is to its right one, likewise; null where the robot has no such wheels.
-        usual: standard deviation by which units are expected to differ.
     """
 
     vehicle: str
-    way: Estimate
-    turn: Estimate
-    left_to_right: Estimate | None = None
-    usual: Number
+    way: UnitFactor
+    turn: UnitFactor
+    left_to_right: UnitFactor | None = None
 
     @property
     def is_unusual(self) -> bool:
-        """Whether it differs by more than one standard deviation of units, and of chance by two."""
-        return any(abs(one.value - 1.0) > self.usual and not one.low <= 1.0 <= one.high for one in self.factors)
+        """Whether it differs in any of these by more than units usually do."""
+        return any(one.is_unusual for one in self.factors)
 
     @property
-    def factors(self) -> tuple[Estimate, ...]:
+    def factors(self) -> tuple[UnitFactor, ...]:
         """All that is told of it; 1 as simulated."""
         known = self.way, self.turn, self.left_to_right
         return tuple(one for one in known if one is not None)

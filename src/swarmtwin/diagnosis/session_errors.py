@@ -19,6 +19,7 @@ from swarmtwin.diagnosis.noise import (
 from swarmtwin.diagnosis.noise_filter import NoiseFilter
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings
+from swarmtwin.diagnosis.unit_spread import UnitSpread
 from swarmtwin.dynamics.predictor import DynamicsModel
 from swarmtwin.geometry import compose, exp_map, log_map
 from swarmtwin.simulation.arcs import moved_along, twist_between
@@ -33,7 +34,7 @@ class SessionErrors:
         noise: of errors that it was not fitted to.
         session: of N transitions.
         known_vehicles: ids of the vehicles that the simulation was learned from; None: all of the session.
-        unit_spread: by how much other vehicles are expected to differ; None: the settings' prior.
+        unit_spread: by how much other vehicles are expected to differ; None: by the settings' prior.
         settings: of the diagnosis; None: the defaults.
         explained: mechanisms that are known to be there, so that the noise is that of what they leave.
         quick: answers nearly as the simulation, in a fraction of its time; None: it answers itself.
@@ -45,7 +46,7 @@ class SessionErrors:
         noise: Noise,
         session: MeasuredSession,
         known_vehicles: tuple[str, ...] | None = None,
-        unit_spread: float | None = None,
+        unit_spread: UnitSpread | None = None,
         settings: DiagnosisSettings | None = None,
         explained: Sequence[Mechanism] = (),
         quick: DynamicsModel | None = None,
@@ -65,7 +66,7 @@ class SessionErrors:
             for vehicle in (session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle))
             if known_vehicles is not None and vehicle not in known_vehicles
         )
-        self.unit_spread = self.settings.units.spread if unit_spread is None else unit_spread
+        self.unit_spread = unit_spread or UnitSpread(self.settings.units.spread)
 
     def errors_of(self, twist: Tensor) -> np.ndarray:
         """Return (N, 3) from where twists (N, 3) lead to where vehicles were measured, in the frame there."""

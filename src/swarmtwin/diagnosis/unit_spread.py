@@ -1,17 +1,37 @@
-"""What a reference shows of how far units of its robot differ: that is no gap."""
+"""In which ways units of a robot differ by fabrication, which is no gap, and how far, as a reference shows it."""
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from scipy import optimize
 from torch import Tensor
 
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
-from swarmtwin.diagnosis.random_effects import unit_changes
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import UnitSettings
 from swarmtwin.geometry import displacement_between, exp_map, log_map
+from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
+
+
+@dataclass(frozen=True)
+class UnitSpread:
+    """How far units of a robot differ: standard deviations, as shares.
+
+    Attributes:
+        usual: of a difference of which nothing else is known.
+        known: of others, by their names in `unit_changes`.
+    """
+
+    usual: float
+    known: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, difference: str) -> float:
+        """Return that of a difference."""
+        return self.known.get(difference, self.usual)
 
 
 def estimated_unit_spread(
@@ -21,12 +41,11 @@ def estimated_unit_spread(
     session: MeasuredSession,
     twist: Tensor,
     settings: UnitSettings,
-) -> float:
-    """Return the spread between units that a reference shows, shrunk towards the prior; of one unit the prior itself.
+) -> UnitSpread:
+    """Return the spread between units that a reference shows, difference by difference; of one unit the prior itself.
 
-    Of each unit every difference is estimated by least squares. Their variance between units, less what the choice of
-    runs adds to it (DerSimonian and Laird, 1986), is averaged over the differences and counts for the number of units
-    beyond the first, against `prior_units` of the prior.
+    Of each unit every difference is estimated by least squares. The variance of a difference between units is the most
+    probable one, given these estimates, how sure each is over runs, and a prior that counts for `prior_units`.
 
     Args:
         predictor: of the reference's own transitions, by what has not seen them.
@@ -38,13 +57,11 @@ def estimated_unit_spread(
     """
     vehicles = np.unique(session.transitions.vehicle)
     if len(vehicles) < 2:
-        return settings.spread
+        return UnitSpread(settings.spread)
     prepared = noise.filter(twist.numpy(), session)
-    residual = prepared(errors[..., None])[..., 0]
-    end = exp_map(twist)
-    moved = [
-        log_map(displacement_between(end, exp_map(twist + one))) for one in unit_changes(predictor, twist, session)
-    ]
+    residual, end = prepared(errors[..., None])[..., 0], exp_map(twist)
+    differences = unit_changes(predictor, twist, session)
+    moved = [log_map(displacement_between(end, exp_map(twist + one))) for one in differences.values()]
     changes = prepared(torch.stack(moved, dim=-1).numpy())
     shows = (changes**2).sum(axis=(0, 1)) > 1.0  # a difference of one, all there is, is seen at all
     values, variances = [], []
@@ -57,7 +74,109 @@ def estimated_unit_spread(
         by_run = session.by_run(np.einsum("ndp,nd->np", change, left)) @ inverse
         values.append(value)
         variances.append((by_run**2).sum(axis=0))
-    between = np.var(values, axis=0, ddof=1) - np.mean(variances, axis=0)
-    units = len(vehicles) - 1
-    total = settings.prior_units * settings.spread**2 + units * max(float(between.mean()), 0.0)
-    return math.sqrt(total / (settings.prior_units + units))
+    shown = (name for name, is_shown in zip(differences, shows, strict=True) if is_shown)
+    of_each = zip(shown, np.transpose(values), np.transpose(variances), strict=True)
+    return UnitSpread(
+        settings.spread, {name: _most_probable_spread(value, variance, settings) for name, value, variance in of_each}
+    )
+
+
+def _most_probable_spread(values: np.ndarray, variances: np.ndarray, settings: UnitSettings) -> float:
+    """Return the standard deviation between K units of which values (K,) are known with variances (K,).
+
+    The mode over its log: restricted likelihood times a scaled inverse chi-squared prior (Gelman, 2006).
+    """
+    prior = settings.spread**2
+
+    def cost(log: float) -> float:
+        """Return twice the negative log of the posterior density, but for a constant."""
+        precision = 1 / (math.exp(log) + variances)
+        away = values - precision @ values / precision.sum()
+        likelihood = float(np.log(precision).sum() - precision @ away**2 - math.log(precision.sum()))
+        return settings.prior_units * (log + prior * math.exp(-log)) - likelihood
+
+    bounds = math.log(prior) - 12.0, math.log(prior) + 12.0
+    return math.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x / 2)
+
+
+def unit_changes(
+    predictor: SessionPredictor, twist: Tensor, session: MeasuredSession, commands: tuple[Tensor, Tensor] | None = None
+) -> dict[str, Tensor]:
+    """Return by what simulated twists (N, 3) change, per unit of each difference that a unit may have, by its name.
+
+    It goes, slides and turns farther, left and right differ, what steers is askew, the time constant with which it
+    follows is longer, and its actuators start to move at a smaller command.
+
+    Args:
+        predictor: of the simulation.
+        twist: of which differences are looked at.
+        session: of N transitions.
+        commands: (N, m) in force now and before; None: as they were sent.
+    """
+    given, conditions = session.situation, session.conditions
+    if commands is None:
+        assert given.command is not None
+        assert given.previous_command is not None
+        commands = given.command, given.previous_command
+    changes = {}
+    for axis, name in enumerate(("ahead", "aside", "turn")):
+        changes[name] = torch.zeros_like(twist)
+        changes[name][:, axis] = twist[:, axis]
+    actuation, track_mm = session.transitions.robot.actuation, conditions.track_mm
+    if actuation.kind == "wheel" and track_mm:
+        apart = wheel_travel(twist, track_mm) * torch.tensor([[0.5, -0.5]], dtype=twist.dtype)
+        changes["left_to_right"] = twist_of_wheels(apart, torch.zeros_like(twist), track_mm)
+    if actuation.steering:
+        step_rad = 0.05  # small beside any steering range, large beside float32
+        askew = _by_other_commands(predictor, session, commands, (actuation.steering,), math.degrees(step_rad))
+        changes["askew"] = askew / step_rad
+    if any(conditions.own_lags):
+        now, before = (predictor.base_twist(command, command) for command in commands)
+        changes["lag"] = torch.tensor(conditions.own_lags, dtype=twist.dtype) * (before - now)
+    return changes | _starts(predictor, twist, session, commands)
+
+
+def _by_other_commands(
+    predictor: SessionPredictor,
+    session: MeasuredSession,
+    commands: tuple[Tensor, Tensor],
+    columns: Sequence[str],
+    step: float,
+) -> Tensor:
+    """Return by what simulated twists (N, 3) change where columns of the commands now and before are larger."""
+    others = [command.clone() for command in commands]
+    for column in columns:
+        for command in others:
+            command[:, session.transitions.robot.command_columns.index(column)] += step
+    return predictor.base_twist(*others) - predictor.base_twist(*commands)
+
+
+def _starts(
+    predictor: SessionPredictor, twist: Tensor, session: MeasuredSession, commands: tuple[Tensor, Tensor]
+) -> dict[str, Tensor]:
+    """Return by what simulated twists (N, 3) change where a unit's actuators start to move at a smaller command.
+
+    Wheels are faster by as much at any speed, per unit of the root mean square of their own; what thrusts does as if
+    its effort were larger, per unit of that of the efforts.
+    """
+    actuation, track_mm = session.transitions.robot.actuation, session.conditions.track_mm
+    if actuation.effort and actuation.kind == "thrust":
+        places = [session.transitions.robot.command_columns.index(column) for column in actuation.effort]
+        usual = float(commands[0][:, places].square().mean().sqrt())
+        step = 0.02 * usual
+        return {"start": _by_other_commands(predictor, session, commands, actuation.effort, step) * usual / step}
+    if actuation.kind == "wheel" and track_mm:
+        faster, sides = _of_one_size(wheel_travel(twist, track_mm)), {"": [1.0, 1.0], "_left_to_right": [0.5, -0.5]}
+        return {
+            f"start{name}": twist_of_wheels(faster * faster.new_tensor([side]), torch.zeros_like(twist), track_mm)
+            for name, side in sides.items()
+        }
+    ahead = torch.zeros_like(twist)
+    ahead[:, :1] = _of_one_size(twist[:, :1])
+    return {"start": ahead}
+
+
+def _of_one_size(way: Tensor) -> Tensor:
+    """Return ways (N, k) of the same sign and the size of their root mean square; those close to zero stay there."""
+    usual = way.square().mean().sqrt().clamp(min=1e-9)
+    return torch.tanh(4 * way / usual) * usual

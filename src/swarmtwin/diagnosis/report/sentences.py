@@ -146,6 +146,16 @@ def unit_words(unit: UnitDifference) -> str:
     return f"{told}, and its left wheel is {sides[0]} times as fast beside the right one" if sides else told
 
 
+def usual_words(unit: UnitDifference) -> str:
+    """Return in words by how much units are expected to differ."""
+    shares = [share_words(one.usual, 0 if round(100 * one.usual, 1) % 1 == 0 else 1) for one in unit.factors]
+    if len({*shares}) == 1:
+        return f"a standard deviation of {shares[0]}"
+    what = ("how far they go", "how far they turn", "how fast left wheels are beside right ones")
+    told = enumeration([f"{share} in {one}" for share, one in zip(shares, what, strict=False)])
+    return f"standard deviations of {told}"
+
+
 def _unlike(unit: UnitDifference) -> float:
     return max(abs(one.value - 1.0) for one in unit.factors)
 

@@ -37,6 +37,7 @@ class Case(StrictModel):
         runs: of a usual session.
         steps: transitions in its runs.
         reference_runs: of the recording that the simulation is learned from.
+        reference_vehicles: that drove these runs in turn, none of them another one that is measured.
     """
 
     family: Family
@@ -49,6 +50,7 @@ class Case(StrictModel):
     runs: Count = 100
     steps: Count = 40
     reference_runs: Count = 150
+    reference_vehicles: Count = 1
 
     @property
     def key(self) -> str:
@@ -83,6 +85,7 @@ def cases(
     runs: int = 100,
     steps: int = 40,
     reference_runs: int = 150,
+    reference_vehicles: int = 1,
 ) -> list[Case]:
     """Draw cases of one family and kind; more of them change none of the first.
 
@@ -100,6 +103,7 @@ def cases(
         runs: of a usual session.
         steps: transitions in its runs.
         reference_runs: of the recording that the simulation is learned from.
+        reference_vehicles: that drove these.
 
     Raises:
         UserError: there is no such kind, or the family's engine is not there.
@@ -107,7 +111,7 @@ def cases(
     driver_of(family)
     if kind not in KINDS:
         raise UserError(f"no such kind of session: {kind!r}: {near_miss(kind, KINDS)}")
-    length = {"runs": runs, "steps": steps, "reference_runs": reference_runs}
+    length = {"runs": runs, "steps": steps, "reference_runs": reference_runs, "reference_vehicles": reference_vehicles}
     turns = _turns(family, kind, robots)
     drawn = []
     for number in range(count):

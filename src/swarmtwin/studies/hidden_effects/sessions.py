@@ -126,8 +126,8 @@ class RecordedSession(NamedTuple):
 
 def record_session(case: Case) -> RecordedSession:
     """Record a case, the same each time: its reference, and the session that something may hide in."""
-    robot = Robot.load(config_folder() / "robot" / f"{case.robot}.yaml")
-    reference = _film(CleanSession(reference_session(case, robot)), robot, case)
+    robot = robot_of(case)
+    reference = _film_reference(case, robot)
     plan = measured_session(case, robot)
     twin = _film(plan, robot, case)
     if not case.names:
@@ -140,8 +140,42 @@ def record_session(case: Case) -> RecordedSession:
     return RecordedSession(reference.recording, measured.recording, truth)
 
 
+def robot_of(case: Case) -> Robot:
+    """Return the robot of a case, as its file describes it."""
+    return Robot.load(config_folder() / "robot" / f"{case.robot}.yaml")
+
+
+def is_of_known_vehicle(case: Case) -> bool:
+    """Return whether the vehicle that is measured is the one, or the first one, that the reference is recorded of."""
+    robot = robot_of(case)
+    return reference_session(case, robot).vehicles[0] == measured_session(case, robot).session.vehicles[0]
+
+
+def _film_reference(case: Case, robot: Robot) -> FilmedSession:
+    """Drive and film what the simulation is learned from; of several vehicles each drives as many of the runs."""
+    whole = reference_session(case, robot)
+    if case.reference_vehicles == 1:
+        return _film(CleanSession(whole), robot, case)
+    rng = case.rng("further vehicles of the reference")
+    taken = {*whole.vehicles, *measured_session(case, robot).session.vehicles}
+    further = [str(number) for number in rng.permutation(np.arange(1, 10)) if str(number) not in taken]
+    vehicles = (*whole.vehicles, *further[: case.reference_vehicles - 1])
+    share = replace(whole, runs=max(1, whole.runs // len(vehicles)))
+    seeds = [whole.seed, *(int(seed) for seed in rng.integers(2**31, size=len(vehicles) - 1))]
+    filmed = [
+        _film(CleanSession(replace(share, vehicles=(vehicle,), seed=seed)), robot, case)
+        for vehicle, seed in zip(vehicles, seeds, strict=True)
+    ]
+    tracks = tuple(
+        replace(track, run=f"vehicle_{track.vehicle}_{track.run}") for one in filmed for track in one.recording.tracks
+    )
+    recording = filmed[0].recording
+    recording = replace(recording, header=recording.header.model_copy(update={"vehicles": vehicles}), tracks=tracks)
+    return replace(filmed[0], recording=recording, transitions=from_recording(recording)[0])
+
+
 def reference_session(case: Case, robot: Robot) -> StandInSession:
-    """Return what the simulation is learned from: any unit of the robot, with nothing wrong."""
+    """Return what the simulation is learned from, were it of one vehicle: any unit of the robot, with nothing wrong."""
     rng = case.rng("reference")
     unit, seed = str(rng.integers(1, 10)), int(rng.integers(2**31))
     return _usual(case, robot, (unit,), case.reference_runs, seed)

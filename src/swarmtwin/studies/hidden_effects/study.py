@@ -49,6 +49,7 @@ from swarmtwin.studies.hidden_effects.results import (
     results_table,
 )
 from swarmtwin.studies.hidden_effects.scoring import score_case
+from swarmtwin.studies.hidden_effects.sessions import is_of_known_vehicle
 from swarmtwin.studies.hidden_effects.tables import study_tables
 from swarmtwin.studies.stand_in_families import chosen_families
 from swarmtwin.tracking.runs import tracked_run
@@ -101,6 +102,8 @@ class Options(StrictModel):
     kinds: Words
     robots: Words
     lengths: Lengths
+    reference_vehicles: Annotated[int, Field(ge=1)]
+    vehicle: Literal["any", "known", "another"]
     baselines: Shares
     true_model: Shares
     processes: Annotated[int, Field(ge=1)] | None
@@ -117,11 +120,13 @@ class Options(StrictModel):
             UserError: a family or kind that there is not, or a family whose engine is missing.
         """
         counts = getattr(self.count, self.scale).model_dump()
+        lengths = self.lengths.model_dump() | {"reference_vehicles": self.reference_vehicles}
         return [
             case
             for family in chosen_families(self.families)
             for kind in self._chosen_kinds()
-            for case in cases(family, kind, counts[kind], self.seed, self.robots, **self.lengths.model_dump())
+            for case in cases(family, kind, counts[kind], self.seed, self.robots, **lengths)
+            if self.vehicle == "any" or is_of_known_vehicle(case) == (self.vehicle == "known")
         ]
 
     def jobs(self) -> list["ScoringJob"]:
