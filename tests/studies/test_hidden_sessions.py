@@ -6,10 +6,13 @@ import itertools
 import math
 from dataclasses import replace
 
+import hydra
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
 from exact_model import SESSION_S, conditions_of
+from swarmtwin.configuration import config_folder
 from swarmtwin.errors import UserError
 from swarmtwin.geometry import residual_between
 from swarmtwin.recordings.blocks import in_blocks
@@ -25,12 +28,14 @@ from swarmtwin.studies.hidden_effects.error_rise import PlainSimulation, size_th
 from swarmtwin.studies.hidden_effects.other_laws import OTHER_LAW_SIZES
 from swarmtwin.studies.hidden_effects.outside_effects import OUTSIDE
 from swarmtwin.studies.hidden_effects.sessions import (
+    is_of_known_vehicle,
     made_effects,
     measured_session,
     record_session,
     reference_session,
     sized_entry,
 )
+from swarmtwin.studies.hidden_effects.study import Options
 from swarmtwin.transitions import from_recording
 
 SMALL = {"runs": 20, "steps": 20, "reference_runs": 30}
@@ -295,6 +300,44 @@ def test_clean_sessions_are_of_other_vehicles_as_often_as_hidden_ones(robots, va
         for case in drawn
     ]
     assert least <= np.mean(own) <= most
+
+
+def test_a_reference_of_several_vehicles_holds_as_much_of_each_and_nothing_of_another_that_is_measured(robots):
+    for seed in range(6):
+        case = Case(family="formulas", kind="clean", robot="mgr", variety="plain", seed=seed, runs=8, steps=6)
+        case = case.model_copy(update={"reference_runs": 20, "reference_vehicles": 5})
+        reference, measured, truth = record_session(case)
+        assert len(reference.vehicles) == len(set(reference.vehicles)) == 5
+        assert {vehicle: reference.where(of(vehicle)).runs for vehicle in reference.vehicles} == {
+            vehicle: tuple(f"vehicle_{vehicle}_run_000{number}" for number in range(1, 5))
+            for vehicle in reference.vehicles
+        }
+        first = reference_session(case, robots["mgr"]).vehicles[0]
+        assert first in reference.vehicles
+        assert truth.same_vehicle == is_of_known_vehicle(case) == (measured.vehicles == (first,))
+        assert truth.same_vehicle or measured.vehicles[0] not in reference.vehicles
+        assert same_recording(record_session(case).reference, reference)
+
+
+def drawn(*changes):
+    """The cases of a study, with changes of its options."""
+    with hydra.initialize_config_dir(str(config_folder()), version_base="1.3"):
+        composed = hydra.compose("experiment/hidden_effects", ["families=[formulas]", "output=study", *changes])
+    return Options.parse(OmegaConf.to_container(composed, resolve=True), "hidden_effects").drawn_cases()
+
+
+def test_sessions_of_one_sort_of_vehicle_are_those_of_any_without_the_others():
+    counts = ("count.quick.one=12", "count.quick.clean=12", "reference_vehicles=3")
+    everything, known, another = (drawn(*counts, f"vehicle={one}") for one in ("any", "known", "another"))
+    assert [case for case in everything if case in known] == known
+    assert [case for case in everything if case in another] == another
+    assert len(known) + len(another) == len(everything)
+    assert min(len(known), len(another)) > 5
+    assert {case.reference_vehicles for case in everything} == {3}
+
+
+def of(vehicle):
+    return lambda track: track.vehicle == vehicle
 
 
 def test_a_clean_recording_holds_its_own_arena_its_clock_and_its_noise(robots):
