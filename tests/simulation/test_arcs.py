@@ -6,6 +6,7 @@ import torch
 
 from swarmtwin import compilable
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
+from swarmtwin.simulation import arcs
 from swarmtwin.simulation.arcs import moved_along, twist_between
 
 
@@ -31,6 +32,16 @@ def test_compiled_twists_between_poses_are_those_of_the_formulas():
     torch.testing.assert_close(moved_along(start, twist), end, rtol=0, atol=1e-6)
 
 
+def test_compiled_maps_between_twists_and_displacements_are_the_formulas_and_wrap_no_turn():
+    rng = np.random.default_rng(3)
+    twist = torch.as_tensor(rng.normal(size=(500, 3)) * [100.0, 20.0, 2.0])
+    twist[:20, 2], twist[20:40], twist[40] = 0.0, 0.0, torch.tensor([10.0, 1.0, 5.0])
+    moved = arcs.exp_map(twist)
+    torch.testing.assert_close(moved, exp_map(twist), rtol=0, atol=1e-9)
+    torch.testing.assert_close(arcs.log_map(moved), log_map(moved), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(arcs.log_map(moved), twist, rtol=1e-6, atol=1e-6)
+
+
 def test_headings_come_wrapped():
     pose = torch.tensor([[0.0, 0.0, np.pi], [0.0, 0.0, 3.0], [0.0, 0.0, -3.0]], dtype=torch.float64)
     turned = moved_along(pose, torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], dtype=torch.float64))
@@ -52,3 +63,5 @@ def test_without_numba_the_formulas_are_used(monkeypatch):
     pose, twist = torch.ones(4, 3, dtype=torch.float64), torch.full((4, 3), 0.3, dtype=torch.float64)
     torch.testing.assert_close(moved_along(pose, twist), compose(pose, exp_map(twist)), rtol=0, atol=0)
     torch.testing.assert_close(twist_between(pose, twist), log_map(displacement_between(pose, twist)), rtol=0, atol=0)
+    torch.testing.assert_close(arcs.exp_map(twist), exp_map(twist), rtol=0, atol=0)
+    torch.testing.assert_close(arcs.log_map(twist), log_map(twist), rtol=0, atol=0)

@@ -19,10 +19,8 @@ def moved_along(pose: np.ndarray, twist: np.ndarray, share: float) -> np.ndarray
     moved = np.empty_like(pose)
     for row in range(len(pose)):
         half = 0.5 * share * twist[row, 2]
-        chord = share * (math.sin(half) / half if half != 0.0 else 1.0)
-        along, across = chord * math.cos(pose[row, 2] + half), chord * math.sin(pose[row, 2] + half)
-        moved[row, 0] = pose[row, 0] + along * twist[row, 0] - across * twist[row, 1]
-        moved[row, 1] = pose[row, 1] + across * twist[row, 0] + along * twist[row, 1]
+        forward, left = _turned(share * _chord(half), pose[row, 2] + half, twist[row, 0], twist[row, 1])
+        moved[row, 0], moved[row, 1] = pose[row, 0] + forward, pose[row, 1] + left
         moved[row, 2] = _wrapped(pose[row, 2] + 2 * half)
     return moved
 
@@ -38,12 +36,9 @@ def twist_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     twist = np.empty_like(start)
     for row in range(len(start)):
         turn = _wrapped(end[row, 2] - start[row, 2])
-        half = 0.5 * turn
-        arc = half / math.sin(half) if half != 0.0 else 1.0
-        along, across = arc * math.cos(start[row, 2] + half), arc * math.sin(start[row, 2] + half)
         away_x, away_y = end[row, 0] - start[row, 0], end[row, 1] - start[row, 1]
-        twist[row, 0] = along * away_x + across * away_y
-        twist[row, 1] = along * away_y - across * away_x
+        half = 0.5 * turn
+        twist[row, 0], twist[row, 1] = _turned(1 / _chord(half), -start[row, 2] - half, away_x, away_y)
         twist[row, 2] = turn
     return twist
 
@@ -51,15 +46,12 @@ def twist_between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 @compiled
 def displacement_along(twist: np.ndarray) -> np.ndarray:
     """Return what `geometry.exp_map` says of twists (N, 3)."""
-    displacement = np.empty_like(twist)
+    moved = np.empty_like(twist)
     for row in range(len(twist)):
         half = 0.5 * twist[row, 2]
-        chord = math.sin(half) / half if half != 0.0 else 1.0
-        along, across = chord * math.cos(half), chord * math.sin(half)
-        displacement[row, 0] = along * twist[row, 0] - across * twist[row, 1]
-        displacement[row, 1] = across * twist[row, 0] + along * twist[row, 1]
-        displacement[row, 2] = twist[row, 2]
-    return displacement
+        moved[row, 0], moved[row, 1] = _turned(_chord(half), half, twist[row, 0], twist[row, 1])
+        moved[row, 2] = twist[row, 2]
+    return moved
 
 
 @compiled
@@ -68,12 +60,22 @@ def twist_along(displacement: np.ndarray) -> np.ndarray:
     twist = np.empty_like(displacement)
     for row in range(len(displacement)):
         half = 0.5 * displacement[row, 2]
-        arc = half / math.sin(half) if half != 0.0 else 1.0
-        along, across = arc * math.cos(half), arc * math.sin(half)
-        twist[row, 0] = along * displacement[row, 0] + across * displacement[row, 1]
-        twist[row, 1] = along * displacement[row, 1] - across * displacement[row, 0]
+        twist[row, 0], twist[row, 1] = _turned(1 / _chord(half), -half, displacement[row, 0], displacement[row, 1])
         twist[row, 2] = displacement[row, 2]
     return twist
+
+
+@compiled
+def _chord(half: float) -> float:
+    """Return the length of the chord of an arc of length 1 that turns by twice an angle."""
+    return math.sin(half) / half if half != 0.0 else 1.0
+
+
+@compiled
+def _turned(length: float, angle: float, x: float, y: float) -> tuple[float, float]:
+    """Return a vector turned by an angle, and as many times as long as `length` says."""
+    along, across = length * math.cos(angle), length * math.sin(angle)
+    return along * x - across * y, across * x + along * y
 
 
 @compiled
