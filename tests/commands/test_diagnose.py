@@ -139,6 +139,24 @@ def test_the_result_keeps_how_probable_the_leading_sets_are(diagnosed):
 
 
 @pytest.mark.end_to_end
+def test_a_reference_of_several_recordings_shows_how_far_their_vehicles_differ(drives, tmp_path):
+    """Of two units each difference counts as one in three, beside the prior's two."""
+    record = ("record", "robot=mgr", "steps=30", "runs=40")
+    call(*record, "vehicle=2", "seed=7", f"output={tmp_path / 'second'}")
+    call(*record, "vehicle=3", "seed=8", SAG, f"output={tmp_path / 'measured'}")
+    several = f"reference=[{drives / 'reference'},{tmp_path / 'second'}]"
+    quick = (*QUICK, "pictures=false", "register=false")
+    call("diagnose", "robot=mgr", several, f"measured={tmp_path / 'measured'}", *quick, f"output={tmp_path / 'found'}")
+    found = json.loads((tmp_path / "found" / "diagnosis.json").read_text())
+    (unit,) = found["units"]
+    usual = [unit[name]["usual"] for name in ("way", "turn", "left_to_right")]
+    assert unit["vehicle"] == "3"
+    assert len(set(usual)) == 3
+    assert all(0.03 < one < 0.07 for one in usual)
+    assert [cause["name"] for cause in found["causes"]] == ["battery_sag"]
+
+
+@pytest.mark.end_to_end
 def test_what_held_out_runs_do_not_confirm_is_neither_named_nor_kept_nor_registered(drives, tmp_path, capfd):
     """A session whose every fourth run, which is held out, has nothing wrong."""
     mixed = tmp_path / "mixed"

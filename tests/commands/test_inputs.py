@@ -31,6 +31,7 @@ MISTAKES = [
     ("tune recording=none", "no recording folder none"),
     ("diagnose measured=good", "give reference=DIR, a recording in which nothing is wrong, or simulation="),
     ("diagnose measured=none reference=good", "no recording folder none"),
+    ("diagnose measured=good reference=[good,none]", "no recording folder none"),
     ("learn", "no simulation in artifacts/dynamics/mgr/crnet_synthetic: run `dvc repro` first"),
     ("rollout policy=empty output=o", "no policy in empty: policy.yaml is missing; name a folder that learn made"),
     ("promote recording=none", "no recording folder none"),

@@ -20,6 +20,7 @@ from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.files import check_output, new_folder, output_folder
 from swarmtwin.learning.device import Device, one_thread
 from swarmtwin.learning.progress_bars import stage_bar
+from swarmtwin.recordings.joining import joined
 from swarmtwin.robot import Robot, Seed, SituationPart, StrictModel
 from swarmtwin.studies.tracked_inputs import model_input, recording_input
 from swarmtwin.tracking import registry
@@ -27,14 +28,14 @@ from swarmtwin.tracking.challengers import challenge_by_errors
 from swarmtwin.tracking.gate import Errors
 from swarmtwin.tracking.model_source import model_folder
 from swarmtwin.tracking.runs import TrackedRun, tracked_run
-from swarmtwin.transitions.inputs import Vehicles, read_vehicles
+from swarmtwin.transitions.inputs import Recordings, Vehicles, read_several, read_vehicles
 
 
 class Options(StrictModel):
     """Options of `swarmtwin diagnose`; their defaults stand in conf/diagnose.yaml."""
 
     robot: Robot
-    reference: Path | None
+    reference: Recordings
     simulation: str | None
     reference_vehicles: Vehicles
     measured: Path
@@ -56,7 +57,7 @@ def run(options: Options) -> dict[str, Any]:
         UserError: an unusable reference or simulation, an unusable measured recording, or the output is taken.
     """
     folder = model_folder(options.simulation) if options.simulation else None
-    inputs = [path for path in (options.reference, folder, options.measured) if path]
+    inputs = [path for path in (*(options.reference or ()), folder, options.measured) if path]
     name = f"{options.robot.name}-{options.measured.resolve().name}"
     output = output_folder(options.output, "diagnose", name)
     settings = options.model_dump(mode="json", by_alias=True)
@@ -65,8 +66,9 @@ def run(options: Options) -> dict[str, Any]:
     given = [recording_input(options.measured, "measured", measured)]
     reference_recording = None
     if options.reference:
-        reference_recording = read_vehicles(options.reference, options.robot, options.reference_vehicles)
-        given.append(recording_input(options.reference, "reference", reference_recording))
+        parts = read_several(options.reference, options.robot, options.reference_vehicles)
+        reference_recording = joined({path: part for path, part in parts.items() if part.tracks})
+        given += [recording_input(path, "reference", part) for path, part in parts.items()]
     if folder:
         given.append(model_input(folder, "simulation"))
     with (
@@ -79,7 +81,7 @@ def run(options: Options) -> dict[str, Any]:
                 measured,
                 options.robot,
                 reference=reference_recording,
-                name=f"the reference {options.reference}",
+                name=f"the reference {' and '.join(map(str, options.reference or ()))}",
                 folder=folder,
                 situation=options.situation,
                 settings=options.diagnosis,

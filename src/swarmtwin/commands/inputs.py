@@ -59,8 +59,9 @@ def check_inputs(command: str, content: Mapping[str, Any]) -> None:
         value: Any = content
         for part in option.split("."):
             value = value.get(part) if isinstance(value, Mapping) else None
-        if isinstance(value, str) and option not in left_out:
-            check(value, options.robot)
+        for named in value if option in SEVERAL and isinstance(value, list) else [value]:
+            if isinstance(named, str) and option not in left_out:
+                check(named, options.robot)
 
 
 def _check_choice(command: str, content: Mapping[str, Any], options: EarlyOptions) -> set[str]:
@@ -199,6 +200,9 @@ def _calibration(named: str, robot: Robot) -> None:
     if not Path(named).exists():
         raise UserError(f"no calibration {named}: make one with `swarmtwin calibrate`")
 
+
+SEVERAL = ("reference",)
+"""Options that may name several inputs, in a list."""
 
 INPUTS: Mapping[str, Callable[[str, Any], None]] = {
     "from": _generator,

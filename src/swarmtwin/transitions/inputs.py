@@ -1,5 +1,6 @@
 """Where commands take their measured data from: folders that `prepare` made, or recordings."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,6 +31,9 @@ def as_texts(value: Any) -> Any:
 
 Vehicles = Annotated[Annotated[tuple[str, ...], Field(min_length=1)] | None, BeforeValidator(as_texts)]
 """Ids of vehicles as typed in a command, where they look like numbers: vehicles=1, vehicles=[1,2]."""
+
+Recordings = Annotated[Annotated[tuple[Path, ...], Field(min_length=1)] | None, BeforeValidator(as_texts)]
+"""Folders of one or several recordings: reference=clean, reference=[clean-1,clean-2]."""
 
 
 def training_transitions(
@@ -94,13 +98,26 @@ def read_vehicles(folder: Path, robot: Robot, vehicles: Vehicles) -> Recording:
     Raises:
         UserError: the recording is at fault, or a vehicle does not occur in it.
     """
-    recording = read_recording(folder, robot)
+    return read_several([folder], robot, vehicles)[folder]
+
+
+def read_several(folders: Sequence[Path], robot: Robot, vehicles: Vehicles) -> dict[Path, Recording]:
+    """Read recordings, or the parts of them that some vehicles drove.
+
+    Raises:
+        UserError: a recording is at fault, or a vehicle does not occur in any.
+    """
+    recordings = {folder: read_recording(folder, robot) for folder in folders}
     if vehicles is None:
-        return recording
+        return recordings
+    known = sorted({vehicle for recording in recordings.values() for vehicle in recording.vehicles})
     for vehicle in vehicles:
-        if vehicle not in recording.vehicles:
-            raise UserError(f"{folder}: no vehicle {vehicle!r}: {near_miss(vehicle, recording.vehicles)}")
-    return recording.where(lambda track: track.vehicle in vehicles)
+        if vehicle not in known:
+            where = ", ".join(map(str, folders))
+            raise UserError(f"{where}: no vehicle {vehicle!r}: {near_miss(vehicle, known)}")
+    return {
+        folder: recording.where(lambda track: track.vehicle in vehicles) for folder, recording in recordings.items()
+    }
 
 
 def _prepared(recording: Recording, name: str, split: SplitOptions) -> tuple[Transitions, Preparation]:

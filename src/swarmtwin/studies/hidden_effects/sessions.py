@@ -4,12 +4,14 @@ import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtwin.configuration import config_folder
 from swarmtwin.recordings.blocks import run_of
+from swarmtwin.recordings.joining import joined
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.standin.active_effects import ActiveEffects
@@ -166,11 +168,9 @@ def _film_reference(case: Case, robot: Robot) -> FilmedSession:
         _film(CleanSession(replace(share, vehicles=(vehicle,), seed=seed)), robot, case)
         for vehicle, seed in zip(vehicles, seeds, strict=True)
     ]
-    tracks = tuple(
-        replace(track, run=f"vehicle_{track.vehicle}_{track.run}") for one in filmed for track in one.recording.tracks
+    recording = joined(
+        {Path(f"vehicle_{vehicle}"): one.recording for vehicle, one in zip(vehicles, filmed, strict=True)}
     )
-    recording = filmed[0].recording
-    recording = replace(recording, header=recording.header.model_copy(update={"vehicles": vehicles}), tracks=tracks)
     return replace(filmed[0], recording=recording, transitions=from_recording(recording)[0])
 
 

@@ -1,0 +1,52 @@
+"""Several recordings of one robot as one: what a reference of several vehicles is made of."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.recording import Recording
+
+
+def joined(recordings: Mapping[Path, Recording]) -> Recording:
+    """Return recordings, by their folders, as one; a single one as it is.
+
+    Its runs are called by their folder's name as well. Each keeps its own clock; commands are those in the tracks, not
+    the logs of when each was sent.
+
+    Raises:
+        UserError: they differ in robot, arena or nominal period.
+    """
+    (first_folder, first), *others = recordings.items()
+    if not others:
+        return first
+    digests = "".join(one.digest for one in recordings.values())
+    for folder, other in others:
+        for what in ("robot", "period_s", "arena_mm"):
+            one, another = getattr(first.header, what), getattr(other.header, what)
+            if one != another:
+                raise UserError(
+                    f"{folder} is a recording with {what} {_words(another)}, and {first_folder} one with "
+                    f"{_words(one)}: give recordings of one robot in one arena, made with one period"
+                )
+    named, tracks = Counter(folder.resolve().name for folder in recordings), []
+    for number, (folder, recording) in enumerate(recordings.items(), start=1):
+        name = folder.resolve().name
+        prefix = name if named[name] == 1 else f"{name}_{number}"
+        tracks += [replace(track, run=f"{prefix}_{track.run}") for track in recording.tracks]
+    dropped = sum((Counter(one.dropped_rows) for one in recordings.values()), Counter[str]())
+    return Recording(
+        robot=first.robot,
+        header=first.header.model_copy(update={"vehicles": None, "started_at": None, "notes": None}),
+        tracks=tuple(tracks),
+        dropped_rows=dict(dropped),
+        digest=hashlib.sha256(digests.encode()).hexdigest()[:16],
+        warnings=tuple(warning for one in recordings.values() for warning in one.warnings),
+    )
+
+
+def _words(value: object) -> str:
+    dumped = getattr(value, "model_dump", None)
+    return str(dumped(mode="json") if dumped else value)
