@@ -96,7 +96,7 @@ class Robot(StrictModel):
         vehicle_size_mm: footprint (length, width), for pictures and collisions.
         actuators: what moves it; null: as usual for its kinematics, and unknown where these are.
         unit_spread: by which share the actuators of two units of this robot differ (standard deviation), where a lab
-            has measured it; null: a diagnosis estimates it from the units of its reference, or takes a generic one.
+            has measured it; null: a generic one. The units of a reference show a diagnosis more, beside either.
         link: how it is spoken to; null: it cannot be deployed. Like `marker` it is the lab's and not the model's: what
             is learned or stored of a robot does not contain it.
         marker: how the camera sees it; null: it cannot be tracked.

@@ -25,6 +25,7 @@ from swarmtwin.diagnosis.report.posterior_plot import posterior_figure, shown_se
 from swarmtwin.diagnosis.report.residual_fields import field_choices
 from swarmtwin.diagnosis.report.residual_plots import runs_figure
 from swarmtwin.diagnosis.report.sentences import (
+    SPACE,
     cause_summary,
     cause_words,
     dependence_words,
@@ -32,6 +33,7 @@ from swarmtwin.diagnosis.report.sentences import (
     gain_words,
     next_recording_words,
     odds_words,
+    usual_words,
     verdict_words,
 )
 from swarmtwin.diagnosis.result import (
@@ -301,6 +303,25 @@ def test_a_units_left_wheel_is_told_beside_its_right_one_where_it_has_two(tmp_pa
     page = page_of(made_session(made_result("no_gap", units=(unit,)), moved_as_simulated), tmp_path)
     assert ("its left wheel is 0.90 times as fast beside the right one" in page.above) == has_two_wheels
     assert ("left wheel to right wheel" in page.text) == has_two_wheels
+
+
+def test_how_far_units_usually_differ_is_told_by_what_they_differ_in():
+    assert usual_words(OWN_UNIT) == f"a standard deviation of 5{SPACE}%"
+    turns = OWN_UNIT.turn.model_copy(update={"usual": 0.031})
+    sides = UnitFactor(value=1.0, low=0.9, high=1.1, unit="", usual=0.0204)
+    unit = OWN_UNIT.model_copy(update={"turn": turns, "left_to_right": sides})
+    assert usual_words(unit) == (
+        f"standard deviations of 5{SPACE}% in how far they go, 3.1{SPACE}% in how far they turn and 2{SPACE}% in how "
+        "fast left wheels are beside right ones"
+    )
+    assert OWN_UNIT.way.is_unusual
+    assert not OWN_UNIT.way.model_copy(update={"usual": 0.2}).is_unusual
+
+
+def test_a_diagnosis_that_was_saved_with_one_spread_for_all_is_read():
+    factor = {"value": 0.9, "low": 0.88, "high": 0.92, "unit": ""}
+    unit = UnitDifference.model_validate({"vehicle": "7", "way": factor, "turn": factor, "usual": 0.05})
+    assert [one.usual for one in unit.factors] == [0.05, 0.05]
 
 
 def test_a_form_that_the_mechanism_does_not_know_is_passed_over():

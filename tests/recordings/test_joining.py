@@ -40,8 +40,14 @@ def test_runs_are_called_by_their_recording_and_nothing_of_them_changes(recorded
 def test_one_recording_stays_as_it_is_and_folders_of_one_name_are_told_apart(recorded):
     alone = recorded("1")
     assert joined({Path("clean"): alone}) is alone
-    runs = joined({Path("monday/clean"): alone, Path("friday/clean"): alone}).runs
-    assert runs == ("clean_1_run_1", "clean_1_run_2", "clean_2_run_1", "clean_2_run_2")
+    folders = Path("monday/clean"), Path("friday/clean"), Path("2_clean")
+    runs = joined({folder: recorded(vehicle) for folder, vehicle in zip(folders, "123", strict=True)}).runs
+    assert runs == tuple(f"{name}_run_{number}" for name in ("1_clean", "2_clean", "3_2_clean") for number in (1, 2))
+
+
+def test_a_recording_that_is_given_twice_is_refused(recorded):
+    with pytest.raises(UserError, match="again and clean are the same recording: give it once"):
+        joined({Path("clean"): recorded("1"), Path("again"): recorded("1")})
 
 
 def test_recordings_of_other_arenas_or_periods_are_refused(recorded, robots):

@@ -67,8 +67,9 @@ def run(options: Options) -> dict[str, Any]:
     reference_recording = None
     if options.reference:
         parts = read_several(options.reference, options.robot, options.reference_vehicles)
-        reference_recording = joined({path: part for path, part in parts.items() if part.tracks})
-        given += [recording_input(path, "reference", part) for path, part in parts.items()]
+        driven = {path: part for path, part in parts.items() if part.tracks}
+        reference_recording = joined(driven)
+        given += [recording_input(path, "reference", part) for path, part in driven.items()]
     if folder:
         given.append(model_input(folder, "simulation"))
     with (

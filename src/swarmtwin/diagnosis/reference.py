@@ -51,8 +51,8 @@ class Reference:
         vehicles: ids of the vehicles it was learned from.
         discrepancy: what the simulation gets wrong of these runs though it has not seen them; None: all of that counts
             as a gap.
-        unit_spread: by which shares other vehicles are expected to differ from these: by what the robot's file states,
-            else as these differ from each other, else by the settings' prior.
+        unit_spread: by which shares vehicles are expected to differ: as these do from each other, beside what the
+            robot's file states, or else the settings' prior.
         settings: of every diagnosis with this reference.
         tabulated: the simulation by a table of a model that looks at commands alone, which sessions are compared with
             in its place; None: with itself.
@@ -175,18 +175,23 @@ class Reference:
             discrepancy = Discrepancy.learn(alone, settings.likelihood.discrepancy)
         transitions = session.transitions
         vehicles = tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle))
-        unit_spread = estimated_unit_spread(predictor, noise, errors, session, twist, settings.units)
+        usual = settings.units
         if stated := base.robot.unit_spread:
-            unit_spread = UnitSpread(stated)
+            usual = usual.model_copy(update={"spread": stated})
+        unit_spread = estimated_unit_spread(predictor, noise, errors, session, twist, usual)
         return cls(base, noise, session, cross_fitted, vehicles, discrepancy, unit_spread, settings)
 
     def likelihood_of(self, session: MeasuredSession) -> SessionLikelihood:
-        """Return how likely a measured session is by this reference."""
+        """Return how likely a measured session is by this reference.
+
+        One that was learned from several vehicles answers for all of them on average, and knows none by itself.
+        """
+        known = self.vehicles if len(self.vehicles) == 1 else ()
         return SessionLikelihood(
             self.tabulated or self.base,
             self.noise,
             session,
-            self.vehicles or None,
+            known if self.vehicles else None,
             self.unit_spread,
             self.discrepancy,
             self.settings,

@@ -1,10 +1,11 @@
 """Step 4. What a diagnosis says, the content of `diagnosis.json`, and what its pictures need."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from swarmtwin.robot import StrictModel
 from swarmtwin.simulation.open_loop import OpenLoop
@@ -216,6 +217,16 @@ class UnitDifference(StrictModel):
     turn: UnitFactor
     left_to_right: UnitFactor | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_format_1(cls, content: Any) -> Any:
+        """Give each factor the one standard deviation that was told for all."""
+        if not isinstance(content, Mapping) or "usual" not in content:
+            return content
+        rest = {name: one for name, one in content.items() if name != "usual"}
+        usual = {"usual": content["usual"]}
+        return {name: {**one, **usual} if isinstance(one, Mapping) else one for name, one in rest.items()}
+
     @property
     def is_unusual(self) -> bool:
         """Whether it differs in any of these by more than units usually do."""
@@ -299,7 +310,7 @@ class DiagnosisResult(StrictModel):
     posterior: tuple[CauseSet, ...] = ()
     likeliest: tuple[EstimatedCause, ...] = ()
     seed: int
-    format: Literal[1] = 1
+    format: Literal[1, 2] = 2
 
 
 @dataclass(frozen=True)

@@ -44,8 +44,9 @@ def estimated_unit_spread(
 ) -> UnitSpread:
     """Return the spread between units that a reference shows, difference by difference; of one unit the prior itself.
 
-    Of each unit every difference is estimated by least squares. The variance of a difference between units is the most
-    probable one, given these estimates, how sure each is over runs, and a prior that counts for `prior_units`.
+    Of each unit that shows it every difference is estimated by least squares, all at once. The variance of a difference
+    between units is the most probable one, given these estimates, how sure each is by itself over runs, and a prior
+    that counts for `prior_units`.
 
     Args:
         predictor: of the reference's own transitions, by what has not seen them.
@@ -63,21 +64,22 @@ def estimated_unit_spread(
     differences = unit_changes(predictor, twist, session)
     moved = [log_map(displacement_between(end, exp_map(twist + one))) for one in differences.values()]
     changes = prepared(torch.stack(moved, dim=-1).numpy())
-    shows = (changes**2).sum(axis=(0, 1)) > 1.0  # a difference of one, all there is, is seen at all
-    values, variances = [], []
+    estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in differences}
     for vehicle in vehicles:
         own = (session.transitions.vehicle == vehicle)[:, None]
-        change = (changes * own[..., None])[:, :, shows]
+        change = changes * own[..., None]
+        is_shown = (change**2).sum(axis=(0, 1)) > 1.0  # a difference of one, all there is, is seen at all
+        change = change[:, :, is_shown]
         inverse = np.linalg.pinv(np.einsum("ndp,ndq->pq", change, change))
         value = inverse @ np.einsum("ndp,nd->p", change, residual)
         left = (residual - change @ value) * own
         by_run = session.by_run(np.einsum("ndp,nd->np", change, left)) @ inverse
-        values.append(value)
-        variances.append((by_run**2).sum(axis=0))
-    shown = (name for name, is_shown in zip(differences, shows, strict=True) if is_shown)
-    of_each = zip(shown, np.transpose(values), np.transpose(variances), strict=True)
+        variance = np.maximum((by_run**2).sum(axis=0), np.diag(inverse))  # of few runs the first one is too small
+        for name, *estimate in zip(np.array([*differences])[is_shown], value, variance, strict=True):
+            estimates[name].append(tuple(estimate))
+    known = {name: np.array(own) for name, own in estimates.items() if len(own) > 1}
     return UnitSpread(
-        settings.spread, {name: _most_probable_spread(value, variance, settings) for name, value, variance in of_each}
+        settings.spread, {name: _most_probable_spread(own[:, 0], own[:, 1], settings) for name, own in known.items()}
     )
 
 
@@ -95,8 +97,10 @@ def _most_probable_spread(values: np.ndarray, variances: np.ndarray, settings: U
         likelihood = float(np.log(precision).sum() - precision @ away**2 - math.log(precision.sum()))
         return settings.prior_units * (log + prior * math.exp(-log)) - likelihood
 
-    bounds = math.log(prior) - 12.0, math.log(prior) + 12.0
-    return math.exp(optimize.minimize_scalar(cost, bounds=bounds, method="bounded").x / 2)
+    around = math.log(prior) + np.linspace(-12.0, 12.0, 97)
+    nearest = around[np.argmin([cost(log) for log in around])]
+    found = optimize.minimize_scalar(cost, bounds=(nearest - 0.25, nearest + 0.25), method="bounded")
+    return math.exp(found.x / 2)
 
 
 def unit_changes(

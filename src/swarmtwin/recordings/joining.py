@@ -17,7 +17,7 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
     the logs of when each was sent.
 
     Raises:
-        UserError: they differ in robot, arena or nominal period.
+        UserError: they differ in robot, arena or nominal period, or one is given twice.
     """
     (first_folder, first), *others = recordings.items()
     if not others:
@@ -31,11 +31,18 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
                     f"{folder} is a recording with {what} {_words(another)}, and {first_folder} one with "
                     f"{_words(one)}: give recordings of one robot in one arena, made with one period"
                 )
-    named, tracks = Counter(folder.resolve().name for folder in recordings), []
-    for number, (folder, recording) in enumerate(recordings.items(), start=1):
-        name = folder.resolve().name
-        prefix = name if named[name] == 1 else f"{name}_{number}"
-        tracks += [replace(track, run=f"{prefix}_{track.run}") for track in recording.tracks]
+    known: dict[str, Path] = {}
+    for folder, recording in recordings.items():
+        if recording.digest and known.setdefault(recording.digest, folder) is not folder:
+            raise UserError(f"{folder} and {known[recording.digest]} are the same recording: give it once")
+    names = [folder.resolve().name for folder in recordings]
+    if len(set(names)) < len(names):
+        names = [f"{number}_{name}" for number, name in enumerate(names, start=1)]
+    tracks = [
+        replace(track, run=f"{name}_{track.run}")
+        for name, recording in zip(names, recordings.values(), strict=True)
+        for track in recording.tracks
+    ]
     dropped = sum((Counter(one.dropped_rows) for one in recordings.values()), Counter[str]())
     return Recording(
         robot=first.robot,

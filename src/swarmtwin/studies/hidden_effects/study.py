@@ -102,7 +102,7 @@ class Options(StrictModel):
     kinds: Words
     robots: Words
     lengths: Lengths
-    reference_vehicles: Annotated[int, Field(ge=1)]
+    reference_vehicles: Annotated[int, Field(ge=1, le=7)]
     vehicle: Literal["any", "known", "another"]
     baselines: Shares
     true_model: Shares
