@@ -225,6 +225,47 @@ def test_the_table_of_the_diagnosis_is_what_the_study_counted():
             )
 
 
+def test_the_table_of_another_vehicle_is_what_the_study_counted():
+    """Sessions of another vehicle are those of any without those of the vehicle learned from."""
+    families = [list(counted_of_the_diagnosis(page=page).values()) for page in ("hidden_effects", "another_vehicle")]
+    rows = {
+        "one effect of another vehicle, error up by 10 % or more": ("one", "10 % or more"),
+        "the same, 3 to 10 %": ("one", "3 to 10 %"),
+        "the same, below 3 %": ("one", "below 3 %"),
+        "two effects of another vehicle": ("two",),
+        "three effects of another vehicle": ("three",),
+    }
+    for row, path in rows.items():
+        counts = [[functools.reduce(operator.getitem, path, own) for own in of_page] for of_page in families]
+        expected = [
+            " of ".join(
+                str(sum(one["exact"][name] - one["exact_of_known_vehicle"][name] for one in of_page))
+                for name in ("count", "total")
+            )
+            for of_page in counts
+        ]
+        assert cells_of_results(row) == expected, row
+    clean = [[own["clean"]["accused_of_other_vehicle"] for own in of_page] for of_page in families]
+    expected = [f"{sum(one['count'] for one in own)} of {sum(one['total'] for one in own)}" for own in clean]
+    assert cells_of_results("nothing wrong with another vehicle: a cause named") == expected
+
+
+def test_what_is_named_of_another_vehicle_is_what_was_judged():
+    beside_one, beside_five = (
+        {
+            (one.case.family, one.case.kind, one.case.seed): one
+            for one in map(Result.model_validate_json, (DOCS / "results" / "judged" / file).read_text().splitlines())
+        }
+        for file in ("hidden_effects.jsonl", "another_vehicle.jsonl")
+    )
+    expected = []
+    for judged in ({key: beside_one[key] for key in beside_five}, beside_five):
+        assert not any(one.same_vehicle for one in judged.values())
+        named = [cause.name in one.true_causes for one in judged.values() for cause in one.causes]
+        expected.append(f"{named.count(False)} of {len(named)}")
+    assert cells_of_results("causes named of another vehicle that are not there") == expected
+
+
 def test_the_table_of_other_methods_is_what_the_study_counted():
     methods = counted_of_the_diagnosis("methods")
     rows = {
