@@ -86,7 +86,7 @@ class SessionLikelihood(SessionErrors):
         base: the simulation.
         noise: of errors that it was not fitted to.
         session: of N transitions.
-        known_vehicles: ids of the vehicles that the simulation was learned from; None: all of the session.
+        known_vehicles: ids of the vehicles that the simulation knows by itself; None: all of the session.
         unit_spread: by how much other vehicles are expected to differ; None: by the settings' prior.
         discrepancy: what the simulation gets wrong of its own reference as well; None: nothing is known of that.
         settings: of the diagnosis; None: the defaults.

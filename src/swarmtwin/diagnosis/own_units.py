@@ -1,4 +1,4 @@
-"""Step 4. What vehicles that the reference does not know do otherwise by fabrication: it is told, and no gap."""
+"""Step 4. What vehicles that are not known by themselves do otherwise by fabrication: it is told, and no gap."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from swarmtwin.simulation.mechanisms import gain_change
 
 
 def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> tuple[UnitDifference, ...]:
-    """Return how far each vehicle that the reference does not know goes and turns, over what is simulated.
+    """Return how far each vehicle that is not known by itself goes and turns, over what is simulated.
 
     By the likeliest sizes of the random effects of units beside the causes that are named, and how sure these are; over
     all of the session's motion, least squares.

@@ -203,7 +203,7 @@ class UnitFactor(Estimate):
 
 
 class UnitDifference(StrictModel):
-    """What a vehicle that the reference does not know does otherwise: no gap, since units differ by fabrication.
+    """What a vehicle that the simulation does not know by itself does otherwise: units differ, and that is no gap.
 
     Attributes:
         vehicle: its id.

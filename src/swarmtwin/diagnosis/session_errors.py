@@ -33,7 +33,7 @@ class SessionErrors:
         base: the simulation.
         noise: of errors that it was not fitted to.
         session: of N transitions.
-        known_vehicles: ids of the vehicles that the simulation was learned from; None: all of the session.
+        known_vehicles: ids of the vehicles that the simulation knows by itself; None: all of the session.
         unit_spread: by how much other vehicles are expected to differ; None: by the settings' prior.
         settings: of the diagnosis; None: the defaults.
         explained: mechanisms that are known to be there, so that the noise is that of what they leave.
