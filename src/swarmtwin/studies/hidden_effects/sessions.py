@@ -133,12 +133,12 @@ def record_session(case: Case) -> RecordedSession:
     plan = measured_session(case, robot)
     twin = _film(plan, robot, case)
     if not case.names:
-        truth = Truth(case, (), 0.0, _same_vehicle(reference, twin), twin, twin)
+        truth = Truth(case, (), 0.0, is_of_known_vehicle(case), twin, twin)
         return RecordedSession(reference.recording, twin.recording, truth)
     simulation = PlainSimulation.learn(reference.transitions)
     effects, measured = _film_with_effects(plan, robot, case, simulation)
     rise = rise_percent(simulation.error(measured.transitions), simulation.error(twin.transitions))
-    truth = Truth(case, effects, rise, _same_vehicle(reference, measured), measured, twin)
+    truth = Truth(case, effects, rise, is_of_known_vehicle(case), measured, twin)
     return RecordedSession(reference.recording, measured.recording, truth)
 
 
@@ -274,7 +274,3 @@ def _film(plan: CleanSession, robot: Robot, case: Case) -> FilmedSession:
         recording = blurred(recording, plan.session, plan.pose_noise, case.rng("blur"))
     transitions, _ = from_recording(recording)
     return FilmedSession(case.family, footage, recording, transitions)
-
-
-def _same_vehicle(reference: FilmedSession, measured: FilmedSession) -> bool:
-    return reference.footage.session.vehicles[0] == measured.footage.session.vehicles[0]
