@@ -22,7 +22,6 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
     (first_folder, first), *others = recordings.items()
     if not others:
         return first
-    digests = "".join(one.digest for one in recordings.values())
     for folder, other in others:
         for what in ("robot", "period_s", "arena_mm"):
             one, another = getattr(first.header, what), getattr(other.header, what)
@@ -43,6 +42,7 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
         for name, recording in zip(names, recordings.values(), strict=True)
         for track in recording.tracks
     ]
+    digests = "".join(one.digest for one in recordings.values())
     dropped = sum((Counter(one.dropped_rows) for one in recordings.values()), Counter[str]())
     return Recording(
         robot=first.robot,
