@@ -16,7 +16,7 @@ from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.own_units import unit_differences, with_own_unit
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
-from swarmtwin.diagnosis.unit_spread import UnitSpread, estimated_unit_spread
+from swarmtwin.diagnosis.unit_spread import ReferenceUnits, UnitSpread
 from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.actuation import with_actuation
@@ -238,12 +238,19 @@ def fleet_session(robot, units, spread, seed):
 
 
 def estimated(robot, units, spread, seed, prior_units=2.0):
-    base, session = fleet_session(robot, units, spread, seed)
+    return shown_by(*fleet_session(robot, units, spread, seed), prior_units).spread
+
+
+def shown_by(base, session, prior_units=2.0):
     twist = base.twist(session.situation.command)
-    measured = torch.as_tensor(session.transitions.displacement)
-    errors = log_map(displacement_between(exp_map(twist), measured)).numpy()
     settings = UnitSettings(prior_units=prior_units)
-    return estimated_unit_spread(base, known_noise(), errors, session, twist, settings)
+    return ReferenceUnits.estimate(base, known_noise(), errors_of(base, session), session, twist, settings)
+
+
+def errors_of(base, session):
+    """From where a base leads to where units were measured."""
+    measured = torch.as_tensor(session.transitions.displacement)
+    return log_map(displacement_between(exp_map(base.twist(session.situation.command)), measured)).numpy()
 
 
 def test_one_unit_says_nothing_of_the_spread_between_units(robots):
@@ -300,6 +307,26 @@ def test_of_several_units_a_simulation_knows_none_by_itself(robots):
             assert nats(model, name, **start) < NAMED
 
 
+def test_a_reference_less_what_each_unit_has_of_its_own_is_of_one_unit(robots):
+    """Errors are smaller by what units' wheels make of them, and nothing else is taken off."""
+    base, session = fleet_session(robots["mgr"], 5, 0.1, 2)
+    units = shown_by(base, session)
+    left = errors_of(base, session.less(units.errors))
+    np.testing.assert_allclose(left, errors_of(base, session) - units.errors, atol=0.2)  # mm, of up to 8, to first order
+    assert np.std(units.errors[:, 0]) > 1.5  # as much as noise of 1 mm makes
+    assert np.std(left, axis=0) == pytest.approx(SPREAD, rel=0.06)
+    assert not shown_by(*fleet_session(robots["mgr"], 1, 0.1, 2)).errors.any()
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.1])
+def test_how_units_of_a_reference_differ_is_no_noise_to_its_simulation(robots, spread):
+    def motion(spread):
+        reference = Reference.learn(fleet_session(robots["mgr"], 5, spread, 2)[1].transitions, 1)
+        return np.sqrt(reference.noise.motion_variance(reference.own_likelihood().motion))
+
+    np.testing.assert_allclose(motion(spread), motion(0.0), rtol=0.05)
+
+
 def test_a_unit_that_does_not_show_a_difference_says_nothing_of_it(robots):
     """Of two units one stands still all the time, and one alone shows no spread."""
     base, session = fleet_session(robots["mgr"], 2, 0.0, 5)
@@ -309,10 +336,7 @@ def test_a_unit_that_does_not_show_a_difference_says_nothing_of_it(robots):
     earlier = np.where(still[:, None], 0.0, transitions.earlier_command)
     transitions = dataclasses.replace(transitions, command=command, previous_command=previous, earlier_command=earlier)
     session = MeasuredSession.of(transitions, session.conditions)
-    twist = base.twist(session.situation.command)
-    noise = np.random.default_rng(1).normal(size=twist.shape) * SPREAD
-    found = estimated_unit_spread(base, known_noise(), noise, session, twist, UnitSettings())
-    assert found == UnitSpread(UnitSettings().spread)
+    assert shown_by(base, session).spread == UnitSpread(UnitSettings().spread)
 
 
 def test_no_shipped_robot_states_what_only_its_stand_in_knows(robots):

@@ -1,7 +1,7 @@
 """From measured data to a cause with a name, an extended simulation and its gain, in four steps.
 
 1. Reference and residual: what a simulation gets wrong, in units of the noise it has where nothing is wrong
-   (`compared_runs`, `reference`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`, `own_units`,
+   (`compared_runs`, `reference`, `own_answers`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`, `own_units`,
    `reference_errors`; `session_prediction` runs the simulation along a session, `quick_dynamics` nearly so in less
    time).
 2. Dependence: what the residual depends on (`session_dependence`, `dependence`, `flexible_residual`).

@@ -9,7 +9,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from swarmtwin.geometry import log_map, wrap_angle
+from swarmtwin.geometry import compose, exp_map, log_map, wrap_angle
 from swarmtwin.learning.situation import Situation
 from swarmtwin.recordings.blocks import FEWEST_RUNS
 from swarmtwin.recordings.recording import Sent, Track
@@ -175,6 +175,16 @@ class MeasuredSession:
     def under(self, conditions: SessionConditions) -> "MeasuredSession":
         """Return the same transitions under other conditions."""
         return replace(self, conditions=conditions)
+
+    def less(self, errors: np.ndarray) -> "MeasuredSession":
+        """Return it as if vehicles had gone where errors (N, 3), in the frame at the end of a period, lead back from.
+
+        Poses stay where they were measured.
+        """
+        ended = torch.as_tensor(self.transitions.displacement)
+        displacement = compose(ended, exp_map(torch.as_tensor(-errors))).numpy()
+        transitions = replace(self.transitions, displacement=displacement)
+        return MeasuredSession.of(transitions, self.conditions, self.sent.sent if self.sent else None)
 
     def by_run(self, values: np.ndarray) -> np.ndarray:
         """Sum values (N, ...) over the transitions of each run, (R, ...)."""

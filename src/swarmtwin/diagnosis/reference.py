@@ -1,10 +1,10 @@
 """Step 1. What a measured session is compared with: a simulation, its own noise, and how sure it is of itself."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -12,19 +12,18 @@ from swarmtwin.diagnosis.discrepancy import Discrepancy
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
+from swarmtwin.diagnosis.own_answers import OwnAnswers
 from swarmtwin.diagnosis.quick_dynamics import imitation_of, table_of
 from swarmtwin.diagnosis.rolled_out_training import learn_rolled_out
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import DiagnosisSettings, ReferenceSettings
-from swarmtwin.diagnosis.unit_spread import UnitSpread, estimated_unit_spread
+from swarmtwin.diagnosis.unit_spread import UnitSpread
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
 from swarmtwin.errors import UserError
-from swarmtwin.geometry import displacement_between, exp_map, log_map
 from swarmtwin.learning.ensemble import folds_of, learn
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena, Robot, SituationPart
-from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.ensemble_dynamics import (
     KNOWN_INPUTS,
@@ -104,8 +103,11 @@ class Reference:
         session = MeasuredSession.of(transitions, conditions_of(transitions))
         require_enough(session, settings.reference, "reference")
         fold = folds_of(session.run, settings.reference.folds)
-        base = _learned_base(session, known, session.twist, fold, seed)
-        return cls._with_noise(base, session, fold, seed, settings, reference_discrepancy=parts is None)
+
+        def learned(session: MeasuredSession) -> BaseDynamics:
+            return _learned_base(session, known, session.twist, fold, seed)
+
+        return cls._with_noise(learned, session, fold, seed, settings, reference_discrepancy=parts is None)
 
     @classmethod
     def of_simulation(
@@ -134,52 +136,57 @@ class Reference:
         fold = folds_of(session.run, settings.reference.folds)
         known = {*dynamics.inputs, "previous_command"} - {"velocity"}  # a correction is of what the model makes of it
         parts = tuple(part for part in KNOWN_INPUTS if part in known)
-        correction = _learned_base(session, parts, session.residual_of(alone), fold, seed)
-        base, tabulated, quick = CorrectedDynamics(dynamics, correction), None, None
-        if table := table_of(dynamics):
-            tabulated = CorrectedDynamics(table, correction)
-        elif "velocity" not in dynamics.inputs:
-            quick = CorrectedDynamics(imitation_of(dynamics, session, seed), correction)
-        found = cls._with_noise(tabulated or base, session, fold, seed, settings)
-        base.motion_noise = found.base.motion_noise
-        return replace(found, base=base, tabulated=tabulated, quick=quick)
+        table = table_of(dynamics)
+
+        def learned(session: MeasuredSession) -> CorrectedDynamics:
+            correction = _learned_base(session, parts, session.residual_of(alone), fold, seed)
+            return CorrectedDynamics(table or dynamics, correction)
+
+        found = cls._with_noise(learned, session, fold, seed, settings)
+        assert isinstance(found.base, CorrectedDynamics)
+        if table:
+            base = CorrectedDynamics(dynamics, found.base.correction)
+            base.motion_noise = found.base.motion_noise
+            return replace(found, base=base, tabulated=found.base)
+        if "velocity" in dynamics.inputs:
+            return found
+        return replace(found, quick=CorrectedDynamics(imitation_of(dynamics, session, seed), found.base.correction))
 
     @classmethod
     def _with_noise(
         cls,
-        base: BaseDynamics,
+        learned: Callable[[MeasuredSession], BaseDynamics],
         session: MeasuredSession,
         fold: np.ndarray,
         seed: int,
         settings: DiagnosisSettings,
         reference_discrepancy: bool = True,
     ) -> Self:
-        """Learn the noise from what cross-fitted answers leave of the reference's own transitions."""
-        session = session.under(with_actuation(session.conditions, base, seed))
-        session = session.under(session.conditions.model_copy(update={"clearance_mm": _clearance_mm(session, base)}))
-        cross_fitted, has_momentum = CrossFitted(base, fold), "velocity" in base.inputs
-        predictor = SessionPredictor(cross_fitted, session.conditions, session.situation, session.follows)
-        twist = predictor.twist(())
-        one_step = cross_fitted.predict(session.situation.only(base.inputs)) if has_momentum else exp_map(twist)
-        base.motion_noise = MotionNoise.estimate(session.transitions, one_step.numpy())
-        measured = torch.as_tensor(session.transitions.displacement, dtype=torch.float64)
-        errors = log_map(displacement_between(exp_map(twist), measured)).numpy()
-        rows = session.spread_over(settings.reference.most_transitions)
+        """Learn a simulation, and the noise from what cross-fitted answers leave of the reference's own transitions.
+
+        Of several vehicles what each has of its own is taken off them, once it is known, and all is learned anew: or
+        else it would be noise to a simulation of their mean, in which small effects are not seen.
+        """
+        usual = settings.units
+        if stated := session.transitions.robot.unit_spread:
+            usual = usual.model_copy(update={"spread": stated})
+        answers = OwnAnswers.by(learned(session), session, fold, seed, settings)
+        units = answers.units(usual)
+        if units.errors.any() and not answers.has_momentum:  # what moves on as it did differs from the start on
+            session = session.less(units.errors)
+            answers = OwnAnswers.by(learned(session), session, fold, seed, settings)
+        base, cross_fitted, session = answers.base, answers.cross_fitted, answers.session
+        base.motion_noise = MotionNoise.estimate(session.transitions, answers.one_step.numpy())
+        rows = answers.rows
         part, own = session.where(rows), cross_fitted.of_rows(rows)
-        first = Noise.learn(errors[rows], twist[rows].numpy(), part, settings.noise)
-        rough = SessionLikelihood(own, first, part, settings=settings)
-        noise = Noise.learn(errors[rows] - rough.expected_errors, rough.motion, part, settings.noise)
+        rough = SessionLikelihood(own, answers.noise, part, settings=settings)
+        noise = Noise.learn(answers.errors[rows] - rough.expected_errors, rough.motion, part, settings.noise)
         discrepancy = None
         if reference_discrepancy:
             alone = SessionLikelihood(own, noise, part, settings=settings)
             discrepancy = Discrepancy.learn(alone, settings.likelihood.discrepancy)
-        transitions = session.transitions
-        vehicles = tuple(transitions.vehicles[index] for index in np.unique(transitions.vehicle))
-        usual = settings.units
-        if stated := base.robot.unit_spread:
-            usual = usual.model_copy(update={"spread": stated})
-        unit_spread = estimated_unit_spread(predictor, noise, errors, session, twist, usual)
-        return cls(base, noise, session, cross_fitted, vehicles, discrepancy, unit_spread, settings)
+        vehicles = tuple(session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle))
+        return cls(base, noise, session, cross_fitted, vehicles, discrepancy, units.spread, settings)
 
     def likelihood_of(self, session: MeasuredSession) -> SessionLikelihood:
         """Return how likely a measured session is by this reference.
@@ -284,23 +291,6 @@ def conditions_of(transitions: Transitions) -> SessionConditions:
     """Return where and how long transitions were measured."""
     lasted_s = float((transitions.time_s + transitions.duration_s).max()) if len(transitions) else 1.0
     return SessionConditions(arena_mm=transitions.arena_mm, session_s=max(lasted_s, transitions.robot.period_s))
-
-
-def _clearance_mm(session: MeasuredSession, base: BaseDynamics, doubted: float = 0.005) -> tuple[float, float] | None:
-    """Return how near vehicles came to walls that they faced, and to walls that they lay along.
-
-    A share `doubted` of the poses came nearer. None where the base does not look at the pose: then nothing stops its
-    robot anywhere.
-    """
-    if "pose" not in base.inputs:
-        return None
-    arena, pose = session.conditions.arena_mm, session.transitions.pose
-    away_mm = np.concatenate([pose[:, :2] - arena.low_mm, arena.high_mm - pose[:, :2]], axis=1)
-    across = np.abs(np.cos(pose[:, 2, None] - np.pi * np.array([1.0, 1.5, 0.0, 0.5])))
-    facing_mm, along_mm = away_mm[across > 0.87], away_mm[across < 0.5]  # within 30 degrees
-    if not (len(facing_mm) and len(along_mm)):
-        return None
-    return float(np.quantile(facing_mm, doubted)), float(np.quantile(along_mm, doubted))
 
 
 def enough_measured(measured: Recording, settings: ReferenceSettings) -> Transitions:

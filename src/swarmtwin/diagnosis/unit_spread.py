@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 import torch
@@ -34,53 +35,108 @@ class UnitSpread:
         return self.known.get(difference, self.usual)
 
 
-def estimated_unit_spread(
-    predictor: SessionPredictor,
-    noise: Noise,
-    errors: np.ndarray,
-    session: MeasuredSession,
-    twist: Tensor,
-    settings: UnitSettings,
-) -> UnitSpread:
-    """Return the spread between units that a reference shows, difference by difference; of one unit the prior itself.
+@dataclass(frozen=True)
+class ReferenceUnits:
+    """What a reference of N transitions shows of the units that drove it.
 
-    Of each unit that shows it every difference is estimated by least squares, all at once. The variance of a difference
-    between units is the most probable one, given these estimates, how sure each is by itself over runs, and a prior
-    that counts for `prior_units`.
-
-    Args:
-        predictor: of the reference's own transitions, by what has not seen them.
-        noise: of its residuals.
-        errors: (N, 3) of what it answers without mechanisms.
-        session: the reference's own transitions.
-        twist: (N, 3) these answers.
-        settings: the prior.
+    Attributes:
+        spread: how far units differ.
+        errors: (N, 3) what of the simulation's errors is each unit's own, in the frame at the end of its period: the
+            simulation answers for all of them on average.
     """
-    vehicles = np.unique(session.transitions.vehicle)
-    if len(vehicles) < 2:
-        return UnitSpread(settings.spread)
-    prepared = noise.filter(twist.numpy(), session)
-    residual, end = prepared(errors[..., None])[..., 0], exp_map(twist)
-    differences = unit_changes(predictor, twist, session)
-    moved = [log_map(displacement_between(end, exp_map(twist + one))) for one in differences.values()]
-    changes = prepared(torch.stack(moved, dim=-1).numpy())
-    estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in differences}
-    for vehicle in vehicles:
-        own = (session.transitions.vehicle == vehicle)[:, None]
-        change = changes * own[..., None]
-        is_shown = (change**2).sum(axis=(0, 1)) > 1.0  # a difference of one, all there is, is seen at all
-        change = change[:, :, is_shown]
-        inverse = np.linalg.pinv(np.einsum("ndp,ndq->pq", change, change))
-        value = inverse @ np.einsum("ndp,nd->p", change, residual)
-        left = (residual - change @ value) * own
-        by_run = session.by_run(np.einsum("ndp,nd->np", change, left)) @ inverse
-        variance = np.maximum((by_run**2).sum(axis=0), np.diag(inverse))  # of few runs the first one is too small
-        for name, *estimate in zip(np.array([*differences])[is_shown], value, variance, strict=True):
-            estimates[name].append(tuple(estimate))
-    known = {name: np.array(own) for name, own in estimates.items() if len(own) > 1}
-    return UnitSpread(
-        settings.spread, {name: _most_probable_spread(own[:, 0], own[:, 1], settings) for name, own in known.items()}
-    )
+
+    spread: UnitSpread
+    errors: np.ndarray
+
+    @classmethod
+    def estimate(
+        cls,
+        predictor: SessionPredictor,
+        noise: Noise,
+        errors: np.ndarray,
+        session: MeasuredSession,
+        twist: Tensor,
+        settings: UnitSettings,
+    ) -> Self:
+        """Estimate how units differ, difference by difference; of one unit the spread is the prior itself.
+
+        Of each unit that shows it every difference is estimated by least squares, all at once. The variance of a
+        difference between units is the most probable one, given these estimates, how sure each is by itself over runs,
+        and a prior that counts for `prior_units`. What each unit has of its own is then estimated once more, with this
+        spread as its prior.
+
+        Args:
+            predictor: of the reference's own transitions, by what has not seen them.
+            noise: of its residuals.
+            errors: (N, 3) of what it answers without mechanisms.
+            session: the reference's own transitions.
+            twist: (N, 3) these answers.
+            settings: the prior.
+        """
+        vehicles = np.unique(session.transitions.vehicle)
+        if len(vehicles) < 2:
+            return cls(UnitSpread(settings.spread), np.zeros_like(errors))
+        prepared = noise.filter(twist.numpy(), session)
+        residual, end = prepared(errors[..., None])[..., 0], exp_map(twist)
+        differences = unit_changes(predictor, twist, session)
+        moved = [log_map(displacement_between(end, exp_map(twist + one))) for one in differences.values()]
+        change = torch.stack(moved, dim=-1).numpy()
+        units = [_OneUnit.of(prepared(change), residual, session, vehicle) for vehicle in vehicles]
+        known = {}
+        for number, name in enumerate(differences):
+            shown = [unit for unit in units if unit.is_shown[number]]
+            if len(shown) > 1:
+                own = np.array([(unit.value[number], unit.variance[number]) for unit in shown])
+                known[name] = _most_probable_spread(own[:, 0], own[:, 1], settings)
+        spread = UnitSpread(settings.spread, known)
+        expected = np.array([spread.of(name) for name in differences])
+        own_errors = np.zeros_like(errors)
+        for unit in units:
+            own_errors[unit.rows] = change[unit.rows] @ unit.value_within(expected)
+        return cls(spread, own_errors)
+
+
+@dataclass(frozen=True)
+class _OneUnit:
+    """Least squares of P differences of one unit.
+
+    Attributes:
+        rows: (N,) its transitions.
+        gram: (P, P) products of what the differences change, whitened.
+        along: (P,) products of that with the residuals.
+        is_shown: (P,) whether a difference of one, all there is, is seen at all.
+        value: (P,) estimates; NaN where it is not.
+        variance: (P,) of these, likewise.
+    """
+
+    rows: np.ndarray
+    gram: np.ndarray
+    along: np.ndarray
+    is_shown: np.ndarray
+    value: np.ndarray
+    variance: np.ndarray
+
+    @classmethod
+    def of(cls, changes: np.ndarray, residual: np.ndarray, session: MeasuredSession, vehicle: int) -> Self:
+        """Estimate from whitened changes (N, 3, P) and residuals (N, 3)."""
+        rows = session.transitions.vehicle == vehicle
+        change = changes * rows[:, None, None]
+        gram, along = np.einsum("ndp,ndq->pq", change, change), np.einsum("ndp,nd->p", change, residual)
+        is_shown = np.diag(gram) > 1.0
+        value, variance = np.full((2, len(along)), np.nan)
+        inverse = np.linalg.pinv(gram[np.ix_(is_shown, is_shown)])
+        value[is_shown] = inverse @ along[is_shown]
+        left = (residual - change[..., is_shown] @ value[is_shown]) * rows[:, None]
+        by_run = session.by_run(np.einsum("ndp,nd->np", change[..., is_shown], left)) @ inverse
+        variance[is_shown] = np.maximum((by_run**2).sum(axis=0), np.diag(inverse))  # of few runs the first is too small
+        return cls(rows, gram, along, is_shown, value, variance)
+
+    def value_within(self, spread: np.ndarray) -> np.ndarray:
+        """Return (P,) the likeliest differences, where they are expected to spread (P,) normally about none."""
+        likeliest: np.ndarray = spread * np.linalg.solve(
+            np.eye(len(spread)) + spread * self.gram * spread[:, None], spread * self.along
+        )
+        return likeliest
 
 
 def _most_probable_spread(values: np.ndarray, variances: np.ndarray, settings: UnitSettings) -> float:
