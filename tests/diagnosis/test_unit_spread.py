@@ -13,6 +13,7 @@ from swarmtwin.diagnosis.cause_search import CauseSearch, prior_log_odds
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
+from swarmtwin.diagnosis.motion_noise_change import motion_noise_change
 from swarmtwin.diagnosis.own_units import unit_differences, with_own_unit
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
@@ -222,13 +223,19 @@ def test_a_difference_twice_as_large_costs_four_times_as_much(robots):
     assert sizes @ sizes > 0
 
 
-def fleet_session(robot, units, spread, seed):
-    """A session of several units, one after the other, whose left and right wheels' speeds spread as said."""
+def fleet_session(robot, units, spread, seed, runs=12, in_turn=True, noise=1.0, about=None):
+    """A session of several units, so many runs of each, whose left and right wheels' speeds spread as said.
+
+    Their mean is `about`, or else as it was drawn.
+    """
     base, rng = ExactBase(robot), np.random.default_rng(seed)
-    runs = 12 * units
-    vehicle = np.arange(runs) % units
+    number = np.arange(runs * units)
+    vehicle = number % units if in_turn else number // runs
     own = 1 + spread * rng.normal(size=(units, 2))
-    session = session_of(base, rng, of_wheels(*own[vehicle].T), runs=runs)
+    if about is not None:
+        own += about - own.mean(axis=0)
+    drawn = noise * torch.tensor(SPREAD, dtype=torch.float64)
+    session = session_of(base, rng, of_wheels(*own[vehicle].T), runs=len(number), spread=lambda way: drawn)
     transitions = dataclasses.replace(
         session.transitions,
         vehicle=vehicle[session.run],
@@ -276,7 +283,7 @@ def test_what_several_units_hardly_show_stays_as_expected_beforehand(robots):
 def test_few_units_move_the_prior_a_little_many_more(robots):
     prior = UnitSettings().spread
     alike = [estimated(robots["mgr"], units, 0.0, 3).of("turn") for units in (2, 5, 12)]
-    were_they_exact = prior * np.sqrt(2 / (2 + np.array([1, 4, 11])))
+    were_they_exact = prior * np.sqrt(2 / (2 + np.array([1, 4, 11])) * (1 + 1 / np.array([2, 5, 12])))
     assert (alike > were_they_exact).all()  # what they are uncertain by leaves more of the prior
     assert (alike < 1.1 * were_they_exact).all()
     assert estimated(robots["mgr"], 5, 0.2, 3).of("turn") > 1.5 * prior
@@ -309,22 +316,52 @@ def test_of_several_units_a_simulation_knows_none_by_itself(robots):
 
 def test_a_reference_less_what_each_unit_has_of_its_own_is_of_one_unit(robots):
     """Errors are smaller by what units' wheels make of them, and nothing else is taken off."""
-    base, session = fleet_session(robots["mgr"], 5, 0.1, 2)
+    base, session = fleet_session(robots["mgr"], 5, 0.1, 2, about=1.0)
     units = shown_by(base, session)
     left = errors_of(base, session.less(units.errors))
-    np.testing.assert_allclose(left, errors_of(base, session) - units.errors, atol=0.2)  # mm, of up to 8, to first order
+    away = np.abs(left - (errors_of(base, session) - units.errors)).max(axis=0)
+    assert (away < [0.3, 0.3, 1e-6]).all()  # mm, to first order, and rad
     assert np.std(units.errors[:, 0]) > 1.5  # as much as noise of 1 mm makes
     assert np.std(left, axis=0) == pytest.approx(SPREAD, rel=0.06)
     assert not shown_by(*fleet_session(robots["mgr"], 1, 0.1, 2)).errors.any()
 
 
-@pytest.mark.parametrize("spread", [0.05, 0.1])
-def test_how_units_of_a_reference_differ_is_no_noise_to_its_simulation(robots, spread):
-    def motion(spread):
-        reference = Reference.learn(fleet_session(robots["mgr"], 5, spread, 2)[1].transitions, 1)
-        return np.sqrt(reference.noise.motion_variance(reference.own_likelihood().motion))
+def motion_noise(reference):
+    """Standard deviations (3,) of its motion."""
+    return np.sqrt(reference.noise.motion_variance(reference.own_likelihood().motion))
 
-    np.testing.assert_allclose(motion(spread), motion(0.0), rtol=0.05)
+
+@pytest.mark.parametrize(("units", "in_turn"), [(3, True), (5, False), (6, True)])
+def test_how_units_of_a_reference_differ_is_no_noise_to_its_simulation(robots, units, in_turn):
+    """In whatever order they drove: folds of runs leave out none of them."""
+    references = [
+        Reference.learn(fleet_session(robots["mgr"], units, spread, 2, in_turn=in_turn)[1].transitions, 1)
+        for spread in (0.1, 0.0)
+    ]
+    of_unlike, of_like = map(motion_noise, references)
+    np.testing.assert_allclose(of_unlike, of_like, rtol=0.06)
+
+
+def test_what_all_units_share_is_none_of_their_own(robots):
+    base, session = fleet_session(robots["mgr"], 4, 0.0, 2, about=1.1)
+    found = shown_by(base, session)
+    assert np.std(errors_of(base, session)[:, 0]) > 1.7
+    assert (np.abs(found.errors).max(axis=0) < [0.5, 0.5, 0.02]).all()
+
+
+@pytest.mark.parametrize(("of_reference", "spread", "noise"), [(5, 0.1, 1.0), (5, 0.05, 0.5), (1, 0.05, 1.0)])
+def test_several_other_units_are_not_more_random_for_being_unlike(robots, of_reference, spread, noise):
+    """Nor is a single one that differs by many times the noise."""
+    learned = fleet_session(robots["mgr"], of_reference, spread, 3, runs=60 // of_reference, noise=noise)[1]
+    reference = Reference.learn(learned.transitions, 1)
+    measured = fleet_session(robots["mgr"], 5, spread, 4, noise=noise)[1].transitions
+    measured = dataclasses.replace(measured, vehicles=tuple("abcde"))
+    single = measured.where(measured.vehicle == 0)
+    for session in (measured, single):
+        model = reference.likelihood_of(MeasuredSession.of(session, reference.session.conditions))
+        change = motion_noise_change(model, (), lambda: 0.0)
+        assert change.factor == pytest.approx(1.0, abs=0.1)
+        assert change.probability < 0.1
 
 
 def test_a_unit_that_does_not_show_a_difference_says_nothing_of_it(robots):
@@ -334,7 +371,15 @@ def test_a_unit_that_does_not_show_a_difference_says_nothing_of_it(robots):
     command = np.where(still[:, None], 0.0, transitions.command)
     previous = np.where(still[:, None], 0.0, transitions.previous_command)
     earlier = np.where(still[:, None], 0.0, transitions.earlier_command)
-    transitions = dataclasses.replace(transitions, command=command, previous_command=previous, earlier_command=earlier)
+    displacement = np.where(still[:, None], np.random.default_rng(1).normal(size=(len(still), 3)) * SPREAD, 0.0)
+    displacement = np.where(still[:, None], displacement, transitions.displacement)
+    transitions = dataclasses.replace(
+        transitions,
+        command=command,
+        previous_command=previous,
+        earlier_command=earlier,
+        displacement=displacement,
+    )
     session = MeasuredSession.of(transitions, session.conditions)
     assert shown_by(base, session).spread == UnitSpread(UnitSettings().spread)
 

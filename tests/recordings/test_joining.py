@@ -1,5 +1,6 @@
 """Several recordings as one: every run once, by a name of its own, and nothing put together that does not belong so."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,16 @@ def test_runs_are_called_by_their_recording_and_nothing_of_them_changes(recorded
     assert both.dropped_rows == {"no_pose": 2}
     assert [track.digest() for track in both.tracks[:2]] == [track.digest() for track in recorded("1").tracks]
     assert both.digest not in {recorded("1").digest, recorded("2").digest, ""}
+
+
+def test_who_gives_two_vehicles_one_id_is_told(recorded):
+    apart = joined({Path("clean-1"): recorded("1"), Path("clean-2"): recorded("2")})
+    assert not apart.warnings
+    again = dataclasses.replace(recorded("1"), digest="another digest")
+    (warning,) = joined(
+        {Path("clean-1"): recorded("1"), Path("monday"): again, Path("clean-2"): recorded("2")}
+    ).warnings
+    assert "vehicle '1' of clean-1 and monday is taken for one and the same" in warning
 
 
 def test_one_recording_stays_as_it_is_and_folders_of_one_name_are_told_apart(recorded):

@@ -97,7 +97,8 @@ def run(options: Options) -> dict[str, Any]:
         if options.pictures:
             draw_diagnosis(inside, inside)
         _track(tracked, inside, diagnosed)
-        tracked.warnings(measured.warnings)
+        of_reference = reference_recording.warnings if reference_recording else ()
+        tracked.warnings(tuple(dict.fromkeys((*measured.warnings, *of_reference))))
         registered = _registered(options, tracked, inside, diagnosed)
     Console().print(table(diagnosed.result))
     Console().print(verdict_words(diagnosed.result), highlight=False, markup=False, soft_wrap=True)

@@ -129,7 +129,7 @@ class FlexibleResidual:
         numbers = {name: np.arange(*ends[index : index + 2]) for index, name in enumerate(families)}
         modulations = {"time": ageing, "place": place, "heading": np.column_stack([heading, axis])}
         modulations = {name: _of_unit_size(functions) for name, functions in modulations.items()}
-        return cls(np.concatenate(standardised, axis=1), numbers, modulations, session.run % settings.folds, settings)
+        return cls(np.concatenate(standardised, axis=1), numbers, modulations, session.folds(settings.folds), settings)
 
     def predicted(self, errors: np.ndarray, scale: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Return what errors (N, 3) are expected to be by regressions that have not seen their runs, (N, 3).

@@ -18,6 +18,7 @@ from swarmtwin.diagnosis.noise import Noise, log_density
 from swarmtwin.diagnosis.random_effects import (
     RandomEffects,
     form_effects,
+    likeliest_unit_errors,
     member_disagreement,
     unit_effects,
     unit_effects_of_outcomes,
@@ -130,6 +131,15 @@ class SessionLikelihood(SessionErrors):
         """(N, 3) errors that the simulation is known to make, of its own reference as well."""
         return self.discrepancy[0]
 
+    @cached_property
+    def unit_directions(self) -> np.ndarray:
+        """(N, 3, K) what unknown vehicles may do otherwise."""
+        return np.stack([np.zeros((len(self.session), 3)), *unit_effects(self)], axis=-1)[..., 1:]
+
+    def unit_errors(self, errors: np.ndarray) -> np.ndarray:
+        """Return (N, 3) what of errors (N, 3) unknown vehicles make by fabrication."""
+        return likeliest_unit_errors(self, self.unit_directions, errors)
+
     def errors_left(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return the errors (N, 3) that mechanisms leave, of the likeliest course where commands may be lost."""
         lossy = arrival_probability(mechanisms) < 1.0
@@ -146,8 +156,7 @@ class SessionLikelihood(SessionErrors):
         return self._own_effects(self.disagreement[..., :0])
 
     def _own_effects(self, disagreement: np.ndarray) -> RandomEffects:
-        units = [one[..., None] for one in unit_effects(self)]
-        together = np.concatenate([*units, disagreement], axis=-1)
+        together = np.concatenate([self.unit_directions, disagreement], axis=-1)
         own = RandomEffects.of(self._whitened(together), self.weight)
         return own.extended(self._whitened(self.discrepancy[1]))
 

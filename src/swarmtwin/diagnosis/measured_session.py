@@ -143,6 +143,17 @@ class MeasuredSession:
             self.transitions.where(chosen), self.conditions, self.sent.sent if self.sent else None
         )
 
+    def folds(self, count: int) -> np.ndarray:
+        """Give each transition one of `count` folds, (N,) numbers from 0: whole runs in turn, vehicle by vehicle.
+
+        So each fold has runs of each vehicle, in whatever order they drove. With fewer runs there are as many folds as
+        runs.
+        """
+        runs, first, rank = np.unique(self.run, return_index=True, return_inverse=True)
+        order = np.lexsort((runs, self.transitions.vehicle[first]))
+        folds: np.ndarray = np.argsort(order)[rank] % min(count, len(runs))
+        return folds
+
     def chains(self, longest: int = 64) -> list[np.ndarray]:
         """Return the rows of transitions that follow one another, cut into pieces of at most `longest`."""
         order = np.lexsort((self.transitions.time_s, self.transitions.vehicle, self.run))
@@ -177,9 +188,9 @@ class MeasuredSession:
         return replace(self, conditions=conditions)
 
     def less(self, errors: np.ndarray) -> "MeasuredSession":
-        """Return it as if vehicles had gone where errors (N, 3), in the frame at the end of a period, lead back from.
+        """Return it with errors (N, 3), in the frame at the end of each period, taken off the displacements.
 
-        Poses stay where they were measured.
+        Poses, velocities and neighbours stay as they were measured.
         """
         ended = torch.as_tensor(self.transitions.displacement)
         displacement = compose(ended, exp_map(torch.as_tensor(-errors))).numpy()

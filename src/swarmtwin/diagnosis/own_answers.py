@@ -11,7 +11,7 @@ from torch import Tensor
 from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
-from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
+from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.diagnosis.unit_spread import ReferenceUnits
 from swarmtwin.geometry import displacement_between, exp_map, log_map
 from swarmtwin.simulation.actuation import with_actuation
@@ -44,7 +44,7 @@ class OwnAnswers:
     def by(
         cls, base: BaseDynamics, session: MeasuredSession, fold: np.ndarray, seed: int, settings: DiagnosisSettings
     ) -> Self:
-        """Ask a simulation."""
+        """Return what a simulation answers to the session it was learned from; `fold` (N,) are the members' own."""
         session = session.under(with_actuation(session.conditions, base, seed))
         session = session.under(session.conditions.model_copy(update={"clearance_mm": _clearance_mm(session, base)}))
         cross_fitted = CrossFitted(base, fold)
@@ -72,13 +72,20 @@ class OwnAnswers:
         return self.session.spread_over(self.settings.reference.most_transitions)
 
     @cached_property
+    def part(self) -> MeasuredSession:
+        """These transitions."""
+        return self.session.where(self.rows)
+
+    @cached_property
     def noise(self) -> Noise:
         """Of the errors, whatever they depend on."""
-        part = self.session.where(self.rows)
-        return Noise.learn(self.errors[self.rows], self.twist[self.rows].numpy(), part, self.settings.noise)
+        return Noise.learn(self.errors[self.rows], self.twist[self.rows].numpy(), self.part, self.settings.noise)
 
-    def units(self, usual: UnitSettings) -> ReferenceUnits:
-        """Return what these transitions show of the units that drove them, beside a prior."""
+    def units(self) -> ReferenceUnits:
+        """Return what these transitions show of the units that drove them; the robot's file goes before settings."""
+        usual = self.settings.units
+        if stated := self.base.robot.unit_spread:
+            usual = usual.model_copy(update={"spread": stated})
         return ReferenceUnits.estimate(self.predictor, self.noise, self.errors, self.session, self.twist, usual)
 
 

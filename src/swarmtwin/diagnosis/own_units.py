@@ -7,7 +7,7 @@ import numpy as np
 
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_commands
-from swarmtwin.diagnosis.random_effects import RandomEffects, unit_effects
+from swarmtwin.diagnosis.random_effects import RandomEffects
 from swarmtwin.diagnosis.result import UnitDifference, UnitFactor
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
@@ -24,7 +24,7 @@ def unit_differences(model: SessionLikelihood, causes: Sequence[Mechanism]) -> t
     if not model.unknown_vehicles:
         return ()
     effects = model.effects if loses_commands([type(one) for one in causes]) else model.effects_with(causes)
-    directions, sizes = np.stack(list(unit_effects(model)), axis=-1), effects.sizes(model.evaluate(causes).whitened)
+    directions, sizes = model.unit_directions, effects.sizes(model.evaluate(causes).whitened)
     motion = model.predictor.twist(arriving(causes)).numpy()
     transitions, usual, told = model.session.transitions, model.unit_spread.of, []
     for vehicle in model.unknown_vehicles:

@@ -143,6 +143,31 @@ def unit_effects(model: SessionErrors) -> Iterator[np.ndarray]:
     yield from _unit_effects(model, model.predictor.twist(model.explained), (given.command, given.previous_command))
 
 
+def likeliest_unit_errors(model: SessionErrors, directions: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return (N, 3) what of errors (N, 3) vehicles that the reference does not know make by fabrication, most likely.
+
+    By least squares within the prior, in which an error that is many deviations from it (`flexible.clip_z`) counts no
+    more than one that is so many.
+
+    Args:
+        model: of N transitions.
+        directions: (N, 3, K) what these vehicles may do otherwise, as `unit_effects` has it.
+        errors: of the simulation.
+    """
+    if not directions.shape[-1]:
+        return np.zeros_like(errors)
+    prepared = model.reference_noise.filter(model.simulated.numpy(), model.session)
+    columns, whitened = prepared(directions).reshape(errors.size, -1), prepared(errors[..., None])[..., 0]
+    left, most = np.zeros_like(whitened), model.settings.flexible.clip_z
+    for _ in range(3):
+        weight = most / np.maximum(np.abs(left).max(axis=1), most)
+        effects = RandomEffects.of(columns, weight)
+        sizes = effects.sizes(whitened)
+        left = whitened - effects.of_sizes(sizes)
+    likeliest: np.ndarray = directions @ sizes
+    return likeliest
+
+
 def unit_effects_of_outcomes(model: SessionErrors) -> np.ndarray:
     """Return (N, 3, 4, K) these effects by which commands arrived, of the simulation without mechanisms."""
     twists, commands = model.predictor.outcomes(()), model.predictor.outcome_commands()

@@ -21,7 +21,7 @@ from swarmtwin.diagnosis.unit_spread import UnitSpread
 from swarmtwin.dynamics.motion_noise import MotionNoise
 from swarmtwin.dynamics.predictor import DynamicsModel, NetworkDynamics
 from swarmtwin.errors import UserError
-from swarmtwin.learning.ensemble import folds_of, learn
+from swarmtwin.learning.ensemble import learn
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Arena, Robot, SituationPart
 from swarmtwin.simulation.conditions import SessionConditions
@@ -102,12 +102,12 @@ class Reference:
         )
         session = MeasuredSession.of(transitions, conditions_of(transitions))
         require_enough(session, settings.reference, "reference")
-        fold = folds_of(session.run, settings.reference.folds)
+        fold = session.folds(settings.reference.folds)
 
         def learned(session: MeasuredSession) -> BaseDynamics:
             return _learned_base(session, known, session.twist, fold, seed)
 
-        return cls._with_noise(learned, session, fold, seed, settings, reference_discrepancy=parts is None)
+        return cls._learned_by(learned, session, fold, seed, settings, reference_discrepancy=parts is None)
 
     @classmethod
     def of_simulation(
@@ -133,7 +133,7 @@ class Reference:
         session = MeasuredSession.of(evidence, conditions_of(evidence))
         require_enough(session, settings.reference, "simulation's evidence: the held-out part of its")
         alone = _twist(CorrectedDynamics(dynamics, None), session)
-        fold = folds_of(session.run, settings.reference.folds)
+        fold = session.folds(settings.reference.folds)
         known = {*dynamics.inputs, "previous_command"} - {"velocity"}  # a correction is of what the model makes of it
         parts = tuple(part for part in KNOWN_INPUTS if part in known)
         table = table_of(dynamics)
@@ -142,7 +142,7 @@ class Reference:
             correction = _learned_base(session, parts, session.residual_of(alone), fold, seed)
             return CorrectedDynamics(table or dynamics, correction)
 
-        found = cls._with_noise(learned, session, fold, seed, settings)
+        found = cls._learned_by(learned, session, fold, seed, settings)
         assert isinstance(found.base, CorrectedDynamics)
         if table:
             base = CorrectedDynamics(dynamics, found.base.correction)
@@ -153,7 +153,7 @@ class Reference:
         return replace(found, quick=CorrectedDynamics(imitation_of(dynamics, session, seed), found.base.correction))
 
     @classmethod
-    def _with_noise(
+    def _learned_by(
         cls,
         learned: Callable[[MeasuredSession], BaseDynamics],
         session: MeasuredSession,
@@ -165,20 +165,18 @@ class Reference:
         """Learn a simulation, and the noise from what cross-fitted answers leave of the reference's own transitions.
 
         Of several vehicles what each has of its own is taken off them, once it is known, and all is learned anew: or
-        else it would be noise to a simulation of their mean, in which small effects are not seen.
+        else it would be noise to a simulation of their mean, in which small effects are not seen. Not where the
+        simulation looks at velocities.
         """
-        usual = settings.units
-        if stated := session.transitions.robot.unit_spread:
-            usual = usual.model_copy(update={"spread": stated})
         answers = OwnAnswers.by(learned(session), session, fold, seed, settings)
-        units = answers.units(usual)
-        if units.errors.any() and not answers.has_momentum:  # what moves on as it did differs from the start on
+        units = answers.units()
+        if units.errors.any() and not answers.has_momentum:  # with momentum it is in velocities as well, which stay
             session = session.less(units.errors)
             answers = OwnAnswers.by(learned(session), session, fold, seed, settings)
         base, cross_fitted, session = answers.base, answers.cross_fitted, answers.session
         base.motion_noise = MotionNoise.estimate(session.transitions, answers.one_step.numpy())
-        rows = answers.rows
-        part, own = session.where(rows), cross_fitted.of_rows(rows)
+        rows, part = answers.rows, answers.part
+        own = cross_fitted.of_rows(rows)
         rough = SessionLikelihood(own, answers.noise, part, settings=settings)
         noise = Noise.learn(answers.errors[rows] - rough.expected_errors, rough.motion, part, settings.noise)
         discrepancy = None

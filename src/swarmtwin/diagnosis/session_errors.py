@@ -125,13 +125,18 @@ class SessionErrors:
 
     @cached_property
     def expected_errors(self) -> np.ndarray:
-        """(N, 3) what the simulation's errors depend on, by a regression that has not seen their runs."""
-        scale = self.usual_spread
-        weight = np.ones(len(scale))
-        if not self.explained:
-            return self.flexible.predicted(self._plain_errors, scale, weight)
-        left = self.errors_left(self.explained)
-        return self._plain_errors - left + self.flexible.predicted(left, scale, weight)
+        """(N, 3) what the simulation's errors depend on: the vehicle, if it is unknown, and all else that can be told.
+
+        By a regression that has not seen their runs; vehicles are no features of it.
+        """
+        left = self.errors_left(self.explained) if self.explained else self._plain_errors
+        own = self.unit_errors(left)
+        weight = np.ones(len(left))
+        return self._plain_errors - left + own + self.flexible.predicted(left - own, self.usual_spread, weight)
+
+    def unit_errors(self, errors: np.ndarray) -> np.ndarray:
+        """Return (N, 3) what of errors (N, 3) unknown vehicles make by fabrication; nothing here."""
+        return np.zeros_like(errors)
 
     @property
     def unpredicted_errors(self) -> np.ndarray:

@@ -20,7 +20,7 @@ from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 
 @dataclass(frozen=True)
 class UnitSpread:
-    """How far units of a robot differ: standard deviations, as shares.
+    """How far a unit of a robot may differ from what a simulation answers: standard deviations, as shares.
 
     Attributes:
         usual: of a difference of which nothing else is known.
@@ -62,8 +62,9 @@ class ReferenceUnits:
 
         Of each unit that shows it every difference is estimated by least squares, all at once. The variance of a
         difference between units is the most probable one, given these estimates, how sure each is by itself over runs,
-        and a prior that counts for `prior_units`. What each unit has of its own is then estimated once more, with this
-        spread as its prior.
+        and a prior that counts for `prior_units`; another unit differs from the mean of K of them, which the simulation
+        answers for, by the root of 1 + 1/K times as much. What each has of its own is then estimated once more, within
+        that spread, less what all of them share, which is the simulation's own error.
 
         Args:
             predictor: of the reference's own transitions, by what has not seen them.
@@ -88,12 +89,18 @@ class ReferenceUnits:
             if len(shown) > 1:
                 own = np.array([(unit.value[number], unit.variance[number]) for unit in shown])
                 known[name] = _most_probable_spread(own[:, 0], own[:, 1], settings)
-        spread = UnitSpread(settings.spread, known)
-        expected = np.array([spread.of(name) for name in differences])
+        expected = np.array([known.get(name, settings.spread) for name in differences])
+        values = np.array([unit.value_within(expected) for unit in units])
+        shared = np.linalg.pinv(sum(unit.gram for unit in units)) @ sum(
+            unit.gram @ value for unit, value in zip(units, values, strict=True)
+        )
         own_errors = np.zeros_like(errors)
-        for unit in units:
-            own_errors[unit.rows] = change[unit.rows] @ unit.value_within(expected)
-        return cls(spread, own_errors)
+        for unit, value in zip(units, values - shared, strict=True):
+            own_errors[unit.rows] = change[unit.rows] @ value
+        beside_their_mean = math.sqrt(1 + 1 / len(vehicles))
+        return cls(
+            UnitSpread(settings.spread, {name: one * beside_their_mean for name, one in known.items()}), own_errors
+        )
 
 
 @dataclass(frozen=True)

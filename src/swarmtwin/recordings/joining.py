@@ -34,6 +34,17 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
     for folder, recording in recordings.items():
         if recording.digest and known.setdefault(recording.digest, folder) is not folder:
             raise UserError(f"{folder} and {known[recording.digest]} are the same recording: give it once")
+    warnings = [warning for one in recordings.values() for warning in one.warnings]
+    driven: dict[str, list[str]] = {}
+    for folder, recording in recordings.items():
+        for vehicle in recording.vehicles:
+            driven.setdefault(vehicle, []).append(str(folder))
+    for vehicle, folders in driven.items():
+        if len(folders) > 1:
+            warnings.append(
+                f"vehicle {vehicle!r} of {' and '.join(folders)} is taken for one and the same: record each vehicle "
+                "under an id of its own, vehicle=2, if it is not"
+            )
     names = [folder.resolve().name for folder in recordings]
     if len(set(names)) < len(names):
         names = [f"{number}_{name}" for number, name in enumerate(names, start=1)]
@@ -50,7 +61,7 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
         tracks=tuple(tracks),
         dropped_rows=dict(dropped),
         digest=hashlib.sha256(digests.encode()).hexdigest()[:16],
-        warnings=tuple(warning for one in recordings.values() for warning in one.warnings),
+        warnings=tuple(warnings),
     )
 
 

@@ -37,7 +37,7 @@ class Case(StrictModel):
         runs: of a usual session.
         steps: transitions in its runs.
         reference_runs: of the recording that the simulation is learned from.
-        reference_vehicles: that drove these runs in turn, none of them another one that is measured.
+        reference_vehicles: that drove these runs, one after the other, none of them another one that is measured.
     """
 
     family: Family
