@@ -225,6 +225,34 @@ def test_the_table_of_the_diagnosis_is_what_the_study_counted():
             )
 
 
+def test_the_table_of_another_seed_is_what_the_study_counted():
+    rows = {
+        "one effect, error up by 10 % or more": ("one", "10 % or more", "exact"),
+        "one effect, 3 to 10 %": ("one", "3 to 10 %", "exact"),
+        "one effect, below 3 %": ("one", "below 3 %", "exact"),
+        "two effects": ("two", "exact"),
+        "three effects": ("three", "exact"),
+        "one effect by another law": ("misspecified", "exact"),
+        "something of no catalogue: a name given": ("outside", "not_named"),
+        "the same, error up by 10 % or more: alarm": ("outside", "costly_found"),
+        "clean: an alarm": ("clean", "alarmed"),
+        "clean: a cause named": ("clean", "accused"),
+        "intervals that hold the truth": ("covered",),
+    }
+    new, old = (list(counted_of_the_diagnosis(page=page).values()) for page in ("confirmation", "hidden_effects"))
+    for row, path in rows.items():
+
+        def shown(families, path=path):
+            counts = [functools.reduce(operator.getitem, path, own) for own in families]
+            total = sum(one["total"] for one in counts)
+            count = sum(one["count"] for one in counts)
+            return f"{total - count if path == ('outside', 'not_named') else count} of {total}"
+
+        expected = [*(shown([own]) for own in new), shown([*new, *old])]
+        assert cells_of_results(row)[:3] == expected, row
+    assert cells_of_results("calibration error")[:2] == [f"{own['calibration_error']:.3f}" for own in new]
+
+
 def test_the_table_of_another_vehicle_is_what_the_study_counted():
     """Sessions of another vehicle are those of any without those of the vehicle learned from."""
     families = [list(counted_of_the_diagnosis(page=page).values()) for page in ("hidden_effects", "another_vehicle")]
