@@ -349,6 +349,17 @@ def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
     pairs = [own["two"]["exact"] for own in families]
     said = f"of two effects at once {sum(one['count'] for one in pairs)} of {sum(one['total'] for one in pairs)}"
     assert said in README.read_text()
+    other_seed = counted_of_the_diagnosis(page="confirmation").values()
+    one = [own["one"]["10 % or more"] for own in other_seed]
+    counts = [
+        [own["exact"] for own in one],
+        [own["exact_of_known_vehicle"] for own in one],
+        [own["two"]["exact"] for own in other_seed],
+    ]
+    first, second, pairs = (
+        " of ".join(str(sum(one[name] for one in own)) for name in ("count", "total")) for own in counts
+    )
+    assert f"{first}, {second} and {pairs}" in README.read_text()
 
 
 def test_clean_sessions_that_were_given_a_cause_are_of_a_vehicle_whose_dead_band_is_larger():
