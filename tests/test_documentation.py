@@ -336,7 +336,8 @@ def cells_of_results(row):
 
 def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
     families = counted_of_the_diagnosis().values()
-    with_clean = [*families, *counted_of_the_diagnosis(page="clean_sessions").values()]
+    pages = ("hidden_effects", "confirmation", "clean_sessions")
+    with_clean = [own for page in pages for own in counted_of_the_diagnosis(page=page).values()]
     for of, counts in {
         "is named, and nothing else": [own["one"]["10 % or more"]["exact"] for own in families],
         "a cause is named, or an alarm raised": [own["clean"]["alarmed"] for own in with_clean],
@@ -364,7 +365,8 @@ def test_what_the_readme_says_of_the_diagnosis_is_what_the_study_counted():
 
 def test_clean_sessions_that_were_given_a_cause_are_of_a_vehicle_whose_dead_band_is_larger():
     """As the README says; the rigid body's bearings rub more."""
-    judged = [DOCS / "results" / "judged" / f"{name}.jsonl" for name in ("hidden_effects", "clean_sessions")]
+    pages = ("hidden_effects", "confirmation", "clean_sessions")
+    judged = [DOCS / "results" / "judged" / f"{name}.jsonl" for name in pages]
     lines = [line for file in judged for line in file.read_text().splitlines() if line.strip()]
     results = [Result.model_validate_json(line) for line in lines]
     accused = [one for one in results if one.case.kind == "clean" and one.causes]
