@@ -371,8 +371,8 @@ def test_a_unit_that_does_not_show_a_difference_says_nothing_of_it(robots):
     command = np.where(still[:, None], 0.0, transitions.command)
     previous = np.where(still[:, None], 0.0, transitions.previous_command)
     earlier = np.where(still[:, None], 0.0, transitions.earlier_command)
-    displacement = np.where(still[:, None], np.random.default_rng(1).normal(size=(len(still), 3)) * SPREAD, 0.0)
-    displacement = np.where(still[:, None], displacement, transitions.displacement)
+    noise = np.random.default_rng(1).normal(size=(len(still), 3)) * SPREAD
+    displacement = np.where(still[:, None], noise, transitions.displacement)
     transitions = dataclasses.replace(
         transitions,
         command=command,
