@@ -10,6 +10,7 @@ from exact_base import SPREAD, ExactBase, as_simulated, known_noise, session_of
 
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import expected_noise_log, motion_noise_change, usual_noise_spread
+from swarmtwin.diagnosis.noise import NoiseScales, motion_scale_log
 from swarmtwin.geometry import exp_map
 from swarmtwin.simulation.mechanism import mechanism_class
 
@@ -33,6 +34,19 @@ def test_the_noise_is_compared_with_what_the_reference_shows(model, usual_log, i
     assert found.factor == pytest.approx(math.exp(log - usual_log))
     assert found.low < found.factor < found.high
     assert (found.probability > 0.5) is is_cause
+
+
+@pytest.mark.parametrize(
+    "poor", [NoiseScales(4.0, 0.05, 0.05), NoiseScales(0.3, 9.0, 1.0), NoiseScales(1.0, 0.1, 20.0)]
+)
+def test_how_random_the_motion_is_does_not_hang_on_where_its_search_begins(model, poor):
+    """Far from the likeliest factors the likelihood is not curved downwards, and one step leads nowhere."""
+    left, spread = model.unpredicted_errors, model.settings.noise.scale_spread
+    noise = model.reference_noise.scaled(poor)
+    log, error = motion_scale_log(noise, poor, left, model.motion, model.session, spread)
+    known_log, known_error = model.motion_noise_log()
+    assert log == pytest.approx(known_log, abs=0.1 * known_error)
+    assert error == pytest.approx(known_error, rel=0.05)
 
 
 def growing_noise(usual, share):

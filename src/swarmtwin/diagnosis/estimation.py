@@ -108,6 +108,10 @@ class _Search:
         """Return values (P,) within the bounds."""
         return np.clip(values, self.low, self.high) if len(values) else values
 
+    def _anchor(self, values: np.ndarray) -> list[Mechanism] | None:
+        """Return the mechanisms from which one member of the simulation says what others change; None: all say it."""
+        return None if self.is_exact else self.at(values)
+
     def whitened(self, values: np.ndarray) -> np.ndarray:
         """Return whitened errors (3 N,)."""
         return self.model.whitened(self.at(values)).ravel()
@@ -130,7 +134,7 @@ class _Search:
     def by_least_squares(self, values: np.ndarray, enough: float) -> np.ndarray:
         """Search by Gauss and Newton's method, random effects integrated out."""
         values = self._descended(values, self.model.effects, enough)
-        return self._descended(values, self.model.effects_with(self.at(values), not self.is_exact), enough)
+        return self._descended(values, self.model.effects_with(self.at(values), self._anchor(values)), enough)
 
     def _descended(self, values: np.ndarray, effects: RandomEffects, enough: float) -> np.ndarray:
         """Return values (P,) after some steps downhill, fewer where one is `enough` standard deviations or less.
@@ -282,7 +286,7 @@ class _Search:
         """Return the set at its likeliest values, with its evidence."""
         mechanisms = self.at(values)
         lossy = loses_commands(self.kinds)
-        effects = self.model.effects if lossy else self.model.effects_with(mechanisms, not self.is_exact)
+        effects = self.model.effects if lossy else self.model.effects_with(mechanisms, self._anchor(values))
         fitted = self.model.evaluate(mechanisms, effects)
         evidence = fitted.total - effects.log_determinant / 2
         runs = self.model.session.runs
@@ -297,7 +301,7 @@ class _Search:
             wide = np.tile(fitted.scale, len(fitted.residual))
             scaled = slopes / wide[:, None]
             curvature = effects.gram(scaled) + self.prior_precision
-            any_form = self.model.effects_with_any_form(mechanisms, not self.is_exact)
+            any_form = self.model.effects_with_any_form(mechanisms, self._anchor(values))
             information = any_form.gram(scaled) + self.prior_precision
             scores = -(scaled * (effects.weight * fitted.residual.ravel() / wide)[:, None])
             scores = scores.reshape(-1, 3, len(values)).sum(axis=1)

@@ -157,8 +157,7 @@ class SessionLikelihood(SessionErrors):
 
     def _own_effects(self, disagreement: np.ndarray) -> RandomEffects:
         together = np.concatenate([self.unit_directions, disagreement], axis=-1)
-        own = RandomEffects.of(self._whitened(together), self.weight)
-        return own.extended(self._whitened(self.discrepancy[1]))
+        return RandomEffects.of(self._whitened(together), self.weight).extended(self._whitened(self.discrepancy[1]))
 
     def disagreement_with(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
         """Return (3 N, M) how the simulation's M members disagree with mechanisms in place, whitened."""
@@ -178,53 +177,56 @@ class SessionLikelihood(SessionErrors):
         """Return likewise (N, 3), nearly, as `errors_near`."""
         return self.filter(self.errors_near(mechanisms, near)[..., None])[..., 0]
 
-    def effects_with(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> RandomEffects:
+    def effects_with(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism] | None = None) -> RandomEffects:
         """Return the random effects, and those of the form of mechanisms.
 
         What looks like another value of a parameter is no other form: forms are orthogonal to what parameters change,
-        so that a parameter is the one that fits best (Plumlee, 2017). Where it is to be quick, one member says what
-        mechanisms change.
+        so that a parameter is the one that fits best (Plumlee, 2017). Where others are `near`, as `errors_near` has it.
         """
-        forms = self._forms(mechanisms, is_quick)
+        forms = self._forms(mechanisms, near)
         if not forms.shape[-1]:
             return self.effects
-        slopes = self._error_slopes(mechanisms)
+        slopes = self._error_slopes(mechanisms, mechanisms if near is None else near)
         weight = np.repeat(self.weight, 3)[:, None]
         along, across = self._whitened(slopes), self._whitened(forms)
         share = np.linalg.lstsq((along * weight).T @ along, (along * weight).T @ across, rcond=1e-10)[0]
         return self.effects.extended(across - along @ share)
 
-    def effects_with_any_form(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> RandomEffects:
+    def effects_with_any_form(
+        self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism] | None = None
+    ) -> RandomEffects:
         """Return the random effects with forms that may look like another value of a parameter: for its interval.
 
         There they are larger: an interval must hold the truth, while a cause must not be taken for another one's form.
         """
-        forms = self.any_forms(mechanisms, is_quick)
+        forms = self.any_forms(mechanisms, near)
         return self.effects.extended(forms) if forms.shape[-1] else self.effects
 
-    def any_forms(self, mechanisms: Sequence[Mechanism], is_quick: bool = False) -> np.ndarray:
+    def any_forms(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism] | None = None) -> np.ndarray:
         """Return (3 N, q) what other forms of mechanisms would change, whitened, as large as intervals allow for."""
         larger = self.settings.estimation.form / self.settings.likelihood.form
-        return self._whitened(self._forms(mechanisms, is_quick, of_values=True) * larger)
+        return self._whitened(self._forms(mechanisms, near, of_values=True) * larger)
 
     def _whitened(self, directions: np.ndarray) -> np.ndarray:
         """Return directions (N, 3, k) of errors as columns (3 N, k)."""
         return self.filter(directions).reshape(3 * len(directions), directions.shape[-1])
 
-    def _forms(self, mechanisms: Sequence[Mechanism], is_quick: bool, of_values: bool = False) -> np.ndarray:
+    def _forms(
+        self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism] | None, of_values: bool = False
+    ) -> np.ndarray:
         """Return (N, 3, q) what other forms of mechanisms would change."""
-        columns = list(form_effects(self, mechanisms, is_quick, of_values)) if mechanisms else []
+        columns = list(form_effects(self, mechanisms, near, of_values)) if mechanisms else []
         return np.stack(columns, axis=-1) if columns else np.zeros((len(self.session), 3, 0))
 
-    def _error_slopes(self, mechanisms: Sequence[Mechanism]) -> np.ndarray:
+    def _error_slopes(self, mechanisms: Sequence[Mechanism], near: Sequence[Mechanism]) -> np.ndarray:
         """Return (N, 3, P) how errors change with the parameters of mechanisms, by differences to one side."""
         kinds = [type(one) for one in mechanisms]
-        values, here = self.values(mechanisms), self.errors(mechanisms)
+        values, here = self.values(mechanisms), self.errors_near(mechanisms, near)
         columns = []
         for index, (_, _, parameter) in enumerate(self.parameters(kinds)):
             moved = values.copy()
             moved[index] = parameter.stepped_from(values[index])
-            change = self.errors_near(self.assembled(kinds, moved), mechanisms) - here
+            change = self.errors_near(self.assembled(kinds, moved), near) - here
             columns.append(change / (moved[index] - values[index]))
         return np.stack(columns, axis=-1) if columns else np.zeros((*here.shape, 0))
 
@@ -245,24 +247,16 @@ class SessionLikelihood(SessionErrors):
             is_quick: whether how much they differ from these is asked of one member alone.
         """
         effects = effects or self.effects
-        arrives = arrival_probability(mechanisms)
         freedom, volume = self.noise.degrees_of_freedom, self.filter.log_volume
-        taken = np.zeros(len(self.session), int)
-        if arrives >= 1.0:
-            whitened = self.whitened(mechanisms)
-            sizes = effects.sizes(whitened)
-            shift = effects.of_sizes(sizes)
-            residual = whitened - shift
-            scale = self._scale(residual)
-            density = log_density(residual / scale, freedom)
-        else:
-            lost = self.lost_commands(mechanisms, effects, near, is_quick)
-            taken = lost.likeliest
-            whitened, sizes = lost.whitened, effects.sizes(lost.whitened)
-            shift = effects.of_sizes(sizes)
-            residual = whitened - shift
-            scale = self._scale(residual)
-            density = lost.log_density(shift, scale)
+        is_lossy = arrival_probability(mechanisms) < 1.0
+        lost = self.lost_commands(mechanisms, effects, near, is_quick) if is_lossy else None
+        whitened = lost.whitened if lost else self.whitened(mechanisms)
+        sizes = effects.sizes(whitened)
+        shift = effects.of_sizes(sizes)
+        residual = whitened - shift
+        scale = self._scale(residual)
+        density = lost.log_density(shift, scale) if lost else log_density(residual / scale, freedom)
+        taken = lost.likeliest if lost else np.zeros(len(self.session), int)
         log_likelihood = np.where(self.in_contact, 0.0, density - volume - np.log(scale).sum())
         penalty = float(sizes @ sizes) / 2 + self._scale_penalty(scale)
         effect_errors = self.filter.inverse(shift)

@@ -10,6 +10,7 @@ to first order. So errors of one run are jointly normal with a block-tridiagonal
 them independent of each other.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -199,9 +200,13 @@ def motion_scale_log(
     error: np.ndarray,
     twist: np.ndarray,
     session: MeasuredSession,
-    step: float = 0.03,
+    spread: float,
+    most_steps: int = 20,
 ) -> tuple[float, float]:
     """Return the log of the factor on the motion's standard deviation, with its standard error over runs.
+
+    By Newton's method from factors that are nearly the likeliest. Where the likelihood is curved upwards along some
+    axis, so that a step would lead down, it leads the other way, as far (Dauphin et al., 2014).
 
     Args:
         noise: of the session, with these factors.
@@ -209,8 +214,10 @@ def motion_scale_log(
         error: (N, 3) of what no longer depends on anything.
         twist: (N, 3) by which vehicles move.
         session: theirs.
-        step: of logs, for derivatives.
+        spread: standard deviation of the logs of the factors' square roots, normal prior.
+        most_steps: of Newton's method; two are usual.
     """
+    began, longest, enough = np.log([scales.motion, scales.position, scales.heading]) / 2, 0.2, 0.02
 
     def by_run(logs: np.ndarray) -> np.ndarray:
         scaled = noise.scaled(NoiseScales(*np.exp(2 * logs)))
@@ -218,22 +225,36 @@ def motion_scale_log(
         density = log_density(prepared(error[..., None])[..., 0], noise.degrees_of_freedom) - prepared.log_volume
         return session.by_run(density)
 
+    logs, prior = np.zeros(3), np.eye(3) / spread**2
+    for _ in range(most_steps):
+        scores, curvature = _derivatives(by_run, logs)
+        sizes, axes = np.linalg.eigh(curvature + prior)
+        inverse = axes / np.maximum(np.abs(sizes), 1 / spread**2) @ axes.T
+        step = inverse @ (scores.sum(axis=0) - prior @ (began + logs))
+        length = np.abs(step).max()
+        logs = logs + step * min(1.0, longest / length)
+        if length <= enough:
+            break
+    scores = scores - scores.mean(axis=0)
+    covariance = inverse @ (scores.T @ scores) @ inverse
+    return float(began[0] + logs[0]), float(np.sqrt(max(covariance[0, 0], 1e-12)))
+
+
+def _derivatives(
+    by_run: Callable[[np.ndarray], np.ndarray], logs: np.ndarray, step: float = 0.03
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return how log-likelihoods (R,) of runs change with logs (3,): (R, 3), and the curvature (3, 3) of their sum."""
     steps = step * np.eye(3)
-    ends = [(by_run(one), by_run(-one)) for one in steps]
-    middle = by_run(np.zeros(3))
+    ends = [(by_run(logs + one), by_run(logs - one)) for one in steps]
+    middle = by_run(logs)
     scores = np.stack([(ahead - back) / (2 * step) for ahead, back in ends], axis=-1)
     curvature = np.empty((3, 3))
     for one in range(3):
         curvature[one, one] = -(ends[one][0] + ends[one][1] - 2 * middle).sum() / step**2
         for other in range(one):
-            both = by_run(steps[one] + steps[other]) - ends[one][0] - ends[other][0] + middle
+            both = by_run(logs + steps[one] + steps[other]) - ends[one][0] - ends[other][0] + middle
             curvature[one, other] = curvature[other, one] = -both.sum() / step**2
-    inverse = np.linalg.pinv(curvature)
-    newton = inverse @ scores.sum(axis=0)
-    scores = scores - scores.mean(axis=0)
-    covariance = inverse @ (scores.T @ scores) @ inverse
-    log = np.log(scales.motion) / 2 + float(np.clip(newton[0], -0.2, 0.2))
-    return float(log), float(np.sqrt(max(covariance[0, 0], 1e-12)))
+    return scores, curvature
 
 
 def log_density(whitened: np.ndarray, freedom: float | None) -> np.ndarray:

@@ -190,7 +190,10 @@ def _unit_effects(model: SessionErrors, center: Tensor, commands: tuple[Tensor, 
 
 
 def form_effects(
-    model: SessionErrors, mechanisms: Sequence[Mechanism], is_quick: bool = False, of_values: bool = False
+    model: SessionErrors,
+    mechanisms: Sequence[Mechanism],
+    near: Sequence[Mechanism] | None = None,
+    of_values: bool = False,
 ) -> Iterator[np.ndarray]:
     """Yield (N, 3) how mechanisms may really look: what each changes, times smooth functions of the commands.
 
@@ -200,14 +203,18 @@ def form_effects(
     Args:
         model: of N transitions.
         mechanisms: with values.
-        is_quick: whether one member of the simulation says what each changes.
+        near: those from which one member of the simulation says what each changes; None: all members say it.
         of_values: whether it is the values' intervals that they are for.
     """
     functions = smooth_functions(model.robot, model.session.situation)
-    now = model.errors(mechanisms)
+
+    def errors(of: Sequence[Mechanism]) -> np.ndarray:
+        return model.errors(of) if near is None else model.errors_near(of, near)
+
+    now = errors(mechanisms)
     for one in mechanisms:
         others = [other for other in mechanisms if other is not one]
-        change = now - (model.errors_near(others, mechanisms) if is_quick else model.errors(others))
+        change = now - errors(others)
         if change.any():
             yield from other_forms(one, change, functions, model.robot, model.settings.likelihood, of_values)
 

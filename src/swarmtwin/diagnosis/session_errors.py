@@ -199,4 +199,5 @@ class SessionErrors:
 
     def motion_noise_log(self) -> tuple[float, float]:
         """Return the log of the factor on the motion's standard deviation, and its standard error over runs."""
-        return motion_scale_log(self.noise, self.noise_scales, self.unpredicted_errors, self.motion, self.session)
+        spread, left = self.settings.noise.scale_spread, self.unpredicted_errors
+        return motion_scale_log(self.noise, self.noise_scales, left, self.motion, self.session, spread)

@@ -139,7 +139,7 @@ class Surroundings:
         """Return the distance of a change (3 N,) from a rival that may take other values, and another form."""
         model, around = self.model, [*self.arriving, rival]
         slopes, precision = self.slopes([rival])
-        effects = model.effects_with(around, is_quick=True)
+        effects = model.effects_with(around, self.arriving)
         gram = effects.gram(np.column_stack([change - self.change(rival), slopes, self._slopes]))
         own = slopes.shape[1]
         gram[1 : 1 + own, 1 : 1 + own] += precision
