@@ -14,7 +14,8 @@ def joined(recordings: Mapping[Path, Recording]) -> Recording:
     """Return recordings, by their folders, as one; a single one as it is.
 
     Its runs are called by their folder's name as well. Each keeps its own clock; commands are those in the tracks, not
-    the logs of when each was sent.
+    the logs of when each was sent. A vehicle whose id is in several of them is taken for one and the same, and a
+    warning says so.
 
     Raises:
         UserError: they differ in robot, arena or nominal period, or one is given twice.
