@@ -232,7 +232,7 @@ def motion_scale_log(
         inverse = axes / np.maximum(np.abs(sizes), 1 / spread**2) @ axes.T
         step = inverse @ (scores.sum(axis=0) - prior @ (began + logs))
         length = np.abs(step).max()
-        logs = logs + step * min(1.0, longest / length)
+        logs = logs + step * longest / max(length, longest)
         if length <= enough:
             break
     scores = scores - scores.mean(axis=0)
