@@ -9,7 +9,7 @@ from swarmtwin.geometry import compose, exp_map, log_map
 from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
-from swarmtwin.simulation.following_actuators import _relaxed_twist, left_over, stopped_by_friction
+from swarmtwin.simulation.relaxation import left_over, relaxed_twist, stopped_by_friction
 
 
 @pytest.mark.parametrize("lags", [(0.1, 0.1, 0.1), (0.4, 0.05, 0.2), (0.4, 0.0, 0.0), (0.0, 0.3, 0.6)])
@@ -18,7 +18,7 @@ def test_a_twist_that_relaxes_axis_by_axis_leads_where_fine_steps_do(lags, share
     rng = torch.Generator().manual_seed(0)
     size = torch.tensor([40.0, 10.0, 0.5], dtype=torch.float64)
     start, target = (torch.randn(5, 3, generator=rng, dtype=torch.float64) * size for _ in range(2))
-    mean, end = _relaxed_twist(start, target, share, lags, 0.03)
+    mean, end = relaxed_twist(start, target, share, lags, 0.03)
     lag, pieces = torch.tensor(lags, dtype=torch.float64) + 0.03, 2000
     exact = torch.zeros(5, 3, dtype=torch.float64)
     for piece in range(pieces):
@@ -29,6 +29,16 @@ def test_a_twist_that_relaxes_axis_by_axis_leads_where_fine_steps_do(lags, share
     error_mm, plain_mm = ((exp_map(one * share) - exact)[:, :2].abs().max() for one in (mean, plain))
     assert error_mm < 0.1
     assert error_mm < plain_mm / 10  # what comes first matters, and is what is left of it to second order
+
+
+def test_what_is_compiled_relaxes_twists_as_the_formulas_do():
+    rng = torch.Generator().manual_seed(1)
+    start, target = (torch.randn(50, 3, generator=rng, dtype=torch.float64) for _ in range(2))
+    by_formulas = relaxed_twist(start.clone().requires_grad_(), target, 0.6, (0.4, 0.05, 0.0), 0.1)
+    for one, other in zip(relaxed_twist(start, target, 0.6, (0.4, 0.05, 0.0), 0.1), by_formulas, strict=True):
+        torch.testing.assert_close(one, other.detach(), rtol=1e-12, atol=1e-12)
+    strided = (one.T.contiguous().T for one in (start, target))
+    torch.testing.assert_close(relaxed_twist(*strided, 0.6, (0.4, 0.05, 0.0), 0.1)[0], by_formulas[0].detach())
 
 
 def rolled_by_newton(start, drive, friction, lag, share, steps=4000):

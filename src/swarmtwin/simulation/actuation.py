@@ -17,7 +17,7 @@ from swarmtwin.learning.situation import Situation
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.conditions import SessionConditions
 from swarmtwin.simulation.efforts import wheel_travel
-from swarmtwin.simulation.following_actuators import left_over, stopped_by_friction
+from swarmtwin.simulation.relaxation import left_over, stopped_by_friction
 
 
 class TrialCommands(NamedTuple):

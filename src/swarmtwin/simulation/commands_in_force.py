@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from swarmtwin.robot import Robot
-from swarmtwin.simulation.following_actuators import left_over
 from swarmtwin.simulation.mechanism import Mechanism
+from swarmtwin.simulation.relaxation import left_over
 
 
 class Delays(NamedTuple):

@@ -60,13 +60,6 @@ def slowed(twist: Tensor, factor: Tensor, track_mm: float) -> Tensor:
     return twist * factor
 
 
-def scaled_by_effort(twist: Tensor, factor: Tensor, moment: Moment) -> Tensor:
-    """Return the twists (N, 3) of actuators that are `factor` (N or 1, 1) as fast; (…, 2) and (…, 3) as in `slowed`."""
-    if factor.shape[-1] > 1:
-        return slowed(twist, factor, moment.track_mm)
-    return slowed(twist, by_effort(factor, moment), moment.track_mm)
-
-
 def by_effort(factor: Tensor, moment: Moment) -> Tensor:
     """Return by which factors (…, 3) motion ahead, aside and around changes if all efforts change by one (…, 1)."""
     exponents = torch.tensor(moment.conditions.effort_exponents, dtype=factor.dtype)

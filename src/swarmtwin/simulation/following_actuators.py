@@ -4,7 +4,7 @@ Twists are per nominal period: (N, 3) forward_mm, left_mm, turn_rad. Times are i
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,12 +14,9 @@ from torch import Tensor
 
 from swarmtwin.simulation.arcs import exp_map, log_map, moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
-from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
-from swarmtwin.simulation.mechanism import Moment
+from swarmtwin.simulation.relaxation import followed, left_at_last, left_over
+from swarmtwin.simulation.supply import Supply
 from swarmtwin.simulation.transient import Transient
-
-Supply = Callable[[Tensor], Tensor]
-"""What becomes of twists (N, 3) of actuators with their supply as it is."""
 
 
 class ActuatorTwists(NamedTuple):
@@ -63,13 +60,9 @@ class Following(NamedTuple):
         """Return the twists of wheels at the period's end alone: those that `wheels` comes to."""
         new, old = supply(twists.steady(self.place)), supply(twists.steady(self.place + 1))
         moment, (twist, undisturbed) = twists.moment, wheels
-        own_lags = moment.conditions.own_lags
         for share, end in zip(self.shares, self.ends, strict=True):
-            target = old if end <= self.latency else new
-            late = target + (twist - target) * _left_at_last(share, own_lags, self.added_lag)
-            twist = late + _by_friction(twist, target, share, moment, self.added_lag)[1]
-            late = new + (undisturbed - new) * _left_at_last(share, own_lags)
-            undisturbed = late + _by_friction(undisturbed, new, share, moment)[1]
+            twist = followed(twist, old if end <= self.latency else new, share, moment, self.added_lag)[1]
+            undisturbed = followed(undisturbed, new, share, moment)[1]
         return ActuatorTwists(twist, undisturbed)
 
     def settings(
@@ -92,11 +85,11 @@ class Following(NamedTuple):
         own_lags = twists.moment.conditions.own_lags
         twist, undisturbed = moving
         for share, target in zip(whole.shares, whole._targets_between(twists, supply), strict=True):
-            twist = target + (twist - target) * _left_at_last(share, own_lags)
+            twist = target + (twist - target) * left_at_last(share, own_lags)
         for change in whole._setting_changes(twists, setting):
             setting = change.end
         steady = supply(twists.steady(self.place))
-        return setting, ActuatorTwists(twist, steady + (undisturbed - steady) * _left_at_last(1.0, own_lags))
+        return setting, ActuatorTwists(twist, steady + (undisturbed - steady) * left_at_last(1.0, own_lags))
 
     def _targets_between(self, twists: BaseTwists, supply: Supply) -> Iterator[Tensor]:
         """Yield for each piece the twist (N, 3) of what is left on average of the way from one command to the next."""
@@ -123,8 +116,8 @@ class Following(NamedTuple):
         twist, reference = moving
         pieces, references = [], []
         for share, target in zip(self.shares, targets, strict=True):
-            mean, twist = _followed(twist, target, share, twists.moment, added_lag)
-            reference_mean, reference = _followed(reference, new, share, twists.moment)
+            mean, twist = followed(twist, target, share, twists.moment, added_lag)
+            reference_mean, reference = followed(reference, new, share, twists.moment)
             pieces.append(mean)
             references.append(reference_mean)
         learned = response - sum(share * piece for share, piece in zip(self.shares, references, strict=True))
@@ -167,7 +160,7 @@ class Following(NamedTuple):
     def _learned_before(self, twists: BaseTwists, supply: Supply) -> Tensor:
         """Return (N, 3) what the change to the command before brought about beyond a lag and friction."""
         start, target = (supply(twists.steady(self.place + back)) for back in (2, 1))
-        mean, _ = _followed(start, target, 1.0, twists.moment)
+        mean, _ = followed(start, target, 1.0, twists.moment)
         return supply(twists.response(self.place + 1)) - mean
 
     def _setting_changes(self, twists: BaseTwists, setting: Tensor) -> Iterator["SettingChange"]:
@@ -236,130 +229,3 @@ def composed(pieces: Iterable[tuple[float, Tensor]]) -> Tensor:
     for share, twist in others:
         moved = moved_along(moved, twist, share)
     return moved
-
-
-def _followed(
-    start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
-) -> tuple[Tensor, Tensor]:
-    """Return as `_relaxed_twist` does the mean twist (N, 3) and that at the end, of wheels with friction as well."""
-    mean, end = _relaxed_twist(start, target, share, moment.conditions.own_lags, added_lag)
-    mean_change, end_change = _by_friction(start, target, share, moment, added_lag)
-    return mean + mean_change, end + end_change
-
-
-def _by_friction(
-    start: Tensor, target: Tensor, share: float, moment: Moment, added_lag: float = 0.0
-) -> tuple[Tensor, Tensor]:
-    """Return what friction changes in the twists (N, 3) of wheels over a piece: on average, and at last."""
-    friction = moment.conditions.gear_friction_mm_s * moment.robot.period_s
-    lag = moment.conditions.own_lags[0] + added_lag
-    if friction <= 0 or lag <= 0:
-        nothing = torch.zeros_like(target)
-        return nothing, nothing
-    rolling, aimed = wheel_travel(start, moment.track_mm), wheel_travel(target, moment.track_mm)
-    stopped = stopped_by_friction(rolling, aimed, friction, lag, share)
-    on_average, at_last = (twist_of_wheels(change, torch.zeros_like(target), moment.track_mm) for change in stopped)
-    return on_average, at_last
-
-
-def _relaxed_twist(
-    start: Tensor, target: Tensor, share: float, own_lags: Sequence[float], added_lag: float = 0.0
-) -> tuple[Tensor, Tensor]:
-    """Return the constant twist that brings vehicles as far as one that goes from `start` to `target`, and its end.
-
-    Each axis goes with its own lag and the added one. The mean, and to second order what it matters that the old twist
-    (N, 3) comes first: half the integral of the Lie bracket of earlier and later twists, as Magnus (1954) expands
-    g' = g ξ.
-    """
-    lags = [own + added_lag for own in own_lags]
-    if not any(lags):
-        return target, target
-    late = start - target
-    ahead, aside, turn = (_Fading(lag / share, *left_over(share, lag)) for lag in lags)
-    on_average, left = start.new_tensor([ahead[1:], aside[1:], turn[1:]]).T
-    of_turn = share * start.new_tensor([-turn.order, turn.order])
-    of_others = share * start.new_tensor([-aside.order, ahead.order])
-    mixed = share * start.new_tensor([-turn.mixed(aside), turn.mixed(ahead)])
-    late_others, late_turn = late[:, :2].flip(1), late[:, 2:]
-    order = late_turn * (of_turn * target[:, :2].flip(1) + mixed * late_others)
-    mean = target + late * on_average
-    mean[:, :2] += order - target[:, 2:] * of_others * late_others
-    return mean, target + late * left
-
-
-class _Fading(NamedTuple):
-    """How one axis of twists goes over a piece of a period, taken as the unit of time: target + late · exp(−t / lag).
-
-    Of two of them half the integral over s < t of one at s times the other at t, less the same with s and t changed, is
-    late · other target · order − target · other late · other order + late · other late · mixed.
-    """
-
-    lag: float
-    on_average: float
-    left: float
-
-    @property
-    def order(self) -> float:
-        """Half the integral of exp(−s / lag) − exp(−t / lag) over s < t."""
-        return (self.lag * (1 + self.left) - 2 * self.lag * self.on_average) / 2
-
-    def mixed(self, other: "_Fading") -> float:
-        """Half the integral of exp(−s / lag − t / other lag), less the same with s and t changed, over s < t."""
-        together = self.lag * other.lag / (self.lag + other.lag) if self.lag and other.lag else 0.0
-        both, _ = left_over(1.0, together)
-        return (self.lag * (other.on_average - both) - other.lag * (self.on_average - both)) / 2
-
-
-def stopped_by_friction(
-    start: Tensor, target: Tensor, friction: float, lag: float, share: float
-) -> tuple[Tensor, Tensor]:
-    """Return what friction changes in how fast wheels roll, (N, 2) mm a period, over a share of a period.
-
-    A wheel follows its motor with a lag of first order, and is slower by its gear's friction either way. Until one that
-    is to stop stands, friction brakes it like a motor, and one that is to turn back as if it were to roll the other way
-    by twice as much faster: it does not come to its new speed along one exponential, but stands sooner.
-
-    A learned model lets wheels that stand roll a little either way, so that all this changes gradually with the speed
-    to come: between half the friction ahead, from where on nothing brakes, and half of it back, from where on it brakes
-    twice.
-
-    Args:
-        start: (N, 2) at first.
-        target: (N, 2) in the long run.
-        friction: by which speed it slows a wheel, > 0.
-        lag: > 0.
-        share: of the period.
-
-    Returns:
-        What is added to the mean of target + (start − target) · exp(−t / lag), and to its end.
-    """
-    direction = start.sign()
-    ahead = target * direction  # in the direction in which the wheel rolls
-    braked = target - direction * friction * (1 - 2 * ahead / friction).clamp(0.0, 2.0)
-    until = direction * ahead.clamp(min=0.0)  # where friction brakes no more: it stands, or is as slow as it is to be
-    is_braked = (start != 0) & (ahead < friction / 2) & (start.abs() > until.abs())
-    braking = (lag * torch.log(((start - braked) / (until - braked)).clamp(min=1.0))).clamp(max=share)
-    left, rest = torch.exp(-braking / lag), share - braking
-    way = braked * braking + (start - braked) * lag * (1 - left)
-    end = torch.where(rest > 0, until, braked + (start - braked) * left)
-    gone_on = torch.exp(-rest / lag)
-    way = way + target * rest + (end - target) * lag * (1 - gone_on)
-    end = target + (end - target) * gone_on
-    on_average, at_last = left_over(share, lag)
-    late = start - target
-    changes = way / share - target - late * on_average, end - target - late * at_last
-    mean_change, end_change = (torch.where(is_braked, change, torch.zeros_like(change)) for change in changes)
-    return mean_change, end_change
-
-
-def _left_at_last(share: float, own_lags: Sequence[float], added_lag: float = 0.0) -> Tensor:
-    """Return (3,) what is left of a change of twist at the end of a piece of a period."""
-    return torch.tensor([left_over(share, own + added_lag)[1] for own in own_lags], dtype=torch.float64)
-
-
-def left_over(share: float, lag: float) -> tuple[float, float]:
-    """Return what is left of a change followed with a lag over a share of the period: on average, and at last."""
-    if lag <= 0:
-        return 0.0, 0.0
-    left = math.exp(-share / lag)
-    return lag / share * (1 - left), left

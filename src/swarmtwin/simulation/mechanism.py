@@ -304,7 +304,7 @@ class Mechanism(StrictModel, ABC):
         return command
 
     def supply_gain(self, moment: Moment) -> Tensor | None:
-        """Return the factor on the actuators' speed, (N or 1, 1), as `efforts.scaled_by_effort` takes it; None: 1."""
+        """Return the factor on the actuators' efforts, (N or 1, 1), or speeds, as `efforts.slowed` has it; None: 1."""
         return None
 
     def added_lag_s(self) -> float:

@@ -7,7 +7,6 @@ the model's own answer stands. Twists are per nominal period: (N, 3) forward_mm,
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -16,9 +15,10 @@ from torch import Tensor
 from swarmtwin.geometry import compose, displacement_between, rotate
 from swarmtwin.simulation.arcs import exp_map, log_map, moved_along
 from swarmtwin.simulation.base_twists import BaseTwists
-from swarmtwin.simulation.efforts import by_effort, scaled_by_effort, slowed
-from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, Supply, composed
+from swarmtwin.simulation.efforts import by_effort, slowed
+from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, composed
 from swarmtwin.simulation.mechanism import Mechanism, Moment
+from swarmtwin.simulation.supply import Supply
 from swarmtwin.simulation.transient import Transient
 
 Memory = Mapping[str, Tensor]
@@ -58,7 +58,7 @@ def remembered_after_long(mechanisms: Sequence[Mechanism], twists: BaseTwists, p
         return {}
     memory = _at_rest_in(mechanisms, twists, place)
     for mechanism in with_memory:
-        own = mechanism.initial_memory(_supplied(mechanisms, moment, twists.steady(place)), moment)
+        own = mechanism.initial_memory(memory[TWIST], moment)
         assert own is not None
         memory[mechanism.name] = own
     return memory
@@ -78,7 +78,7 @@ def end_memory(
         followed = following_motion(mechanisms, twists, place, memory)
         return with_own_memory(mechanisms, followed, twists, place, memory).memory
     moment = _given(twists, place)
-    following, supply = _following(mechanisms, moment, place), partial(_supplied, mechanisms, moment)
+    following, supply = _following(mechanisms, moment, place), Supply.of(mechanisms, moment)
     if SETTING in memory:
         return _settings_at_end(following, twists, supply, memory)
     moving = following.wheels_at_end(twists, supply, ActuatorTwists(memory[TWIST], memory[REFERENCE_TWIST]))
@@ -95,7 +95,7 @@ def _settings_at_end(following: Following, twists: BaseTwists, supply: Supply, m
 def following_motion(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int, memory: Memory) -> ActuatorMotion:
     """Let the actuators follow the command in a place, whatever mechanisms with a memory of their own make of it."""
     moment = _given(twists, place)
-    supply = partial(_supplied, mechanisms, moment)
+    supply = Supply.of(mechanisms, moment)
     following = _following(mechanisms, moment, place)
     followed = {name: memory[name] for name in memory if name in FOLLOWING}
     correction = None
@@ -178,18 +178,9 @@ def _following(mechanisms: Sequence[Mechanism], moment: Moment, place: int) -> F
 
 def _at_rest_in(mechanisms: Sequence[Mechanism], twists: BaseTwists, place: int) -> dict[str, Tensor]:
     """Return what actuators remember that have come to rest in the command of a place: twists, and thrust's setting."""
-    twist = _supplied(mechanisms, twists.moment, twists.steady(place))
+    twist = Supply.of(mechanisms, twists.moment)(twists.steady(place))
     setting = {SETTING: twists.setting(place)} if twists.moment.robot.actuation.kind == "thrust" else {}
     return {**setting, TWIST: twist, REFERENCE_TWIST: twist}
-
-
-def _supplied(mechanisms: Sequence[Mechanism], moment: Moment, twist: Tensor) -> Tensor:
-    """Return the twists (N, 3) of actuators with their supply as it is."""
-    for mechanism in mechanisms:
-        gain = mechanism.supply_gain(moment)
-        if gain is not None:
-            twist = scaled_by_effort(twist, gain, moment)
-    return twist
 
 
 def _on_the_ground(mechanisms: Sequence[Mechanism], motion: ActuatorMotion, moment: Moment) -> tuple[Tensor, Tensor]:
