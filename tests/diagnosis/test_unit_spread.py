@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from exact_base import SPREAD, ExactBase, Losing, known_noise, session_of
+from fleet import errors_of, fleet_session, of_wheels, shown_by
 from simulated_session import simulated_noise, simulated_session
 
 from exact_model import TRACK_MM, LaggingDynamics
@@ -17,8 +18,8 @@ from swarmtwin.diagnosis.motion_noise_change import motion_noise_change
 from swarmtwin.diagnosis.own_units import unit_differences, with_own_unit
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
-from swarmtwin.diagnosis.unit_spread import ReferenceUnits, UnitSpread
-from swarmtwin.geometry import compose, displacement_between, exp_map, log_map
+from swarmtwin.diagnosis.unit_spread import UnitSpread
+from swarmtwin.geometry import compose, exp_map
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.actuation import with_actuation
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
@@ -26,17 +27,6 @@ from swarmtwin.simulation.mechanism import mechanism_class
 
 NAMED = 5.1
 """Nats by which a cause with prior odds of 1 : 19 has a probability of 90 %."""
-
-
-def of_wheels(left, right):
-    """A unit whose wheels are so much faster; one factor each, or one for each run."""
-    factor = torch.tensor(np.stack(np.broadcast_arrays(left, right), axis=-1), dtype=torch.float64).reshape(-1, 2)
-
-    def moved(moment):
-        wheels = wheel_travel(moment.way, TRACK_MM) * factor
-        return exp_map(twist_of_wheels(wheels, moment.way, TRACK_MM))
-
-    return moved
 
 
 def model_of(robot, moved, vehicle, known=("1",), unit_spread=None, noise=1.0):
@@ -223,41 +213,8 @@ def test_a_difference_twice_as_large_costs_four_times_as_much(robots):
     assert sizes @ sizes > 0
 
 
-def fleet_session(robot, units, spread, seed, runs=12, in_turn=True, noise=1.0, about=None):
-    """A session of several units, so many runs of each, whose left and right wheels' speeds spread as said.
-
-    Their mean is `about`, or else as it was drawn.
-    """
-    base, rng = ExactBase(robot), np.random.default_rng(seed)
-    number = np.arange(runs * units)
-    vehicle = number % units if in_turn else number // runs
-    own = 1 + spread * rng.normal(size=(units, 2))
-    if about is not None:
-        own += about - own.mean(axis=0)
-    drawn = noise * torch.tensor(SPREAD, dtype=torch.float64)
-    session = session_of(base, rng, of_wheels(*own[vehicle].T), runs=len(number), spread=lambda way: drawn)
-    transitions = dataclasses.replace(
-        session.transitions,
-        vehicle=vehicle[session.run],
-        vehicles=tuple(str(unit + 1) for unit in range(units)),
-    )
-    return base, MeasuredSession.of(transitions, session.conditions)
-
-
 def estimated(robot, units, spread, seed, prior_units=2.0):
     return shown_by(*fleet_session(robot, units, spread, seed), prior_units).spread
-
-
-def shown_by(base, session, prior_units=2.0):
-    twist = base.twist(session.situation.command)
-    settings = UnitSettings(prior_units=prior_units)
-    return ReferenceUnits.estimate(base, known_noise(), errors_of(base, session), session, twist, settings)
-
-
-def errors_of(base, session):
-    """From where a base leads to where units were measured."""
-    measured = torch.as_tensor(session.transitions.displacement)
-    return log_map(displacement_between(exp_map(base.twist(session.situation.command)), measured)).numpy()
 
 
 def test_one_unit_says_nothing_of_the_spread_between_units(robots):

@@ -1,9 +1,9 @@
 """From measured data to a cause with a name, an extended simulation and its gain, in four steps.
 
 1. Reference and residual: what a simulation gets wrong, in units of the noise it has where nothing is wrong
-   (`compared_runs`, `reference`, `own_answers`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`, `own_units`,
-   `reference_errors`; `session_prediction` runs the simulation along a session, `quick_dynamics` nearly so in less
-   time).
+   (`compared_runs`, `reference`, `own_answers`, `reference_inputs`, `noise`, `discrepancy`, `unit_spread`,
+   `unlike_units`, `own_units`, `reference_errors`; `session_prediction` runs the simulation along a session,
+   `quick_dynamics` nearly so in less time).
 2. Dependence: what the residual depends on (`session_dependence`, `dependence`, `flexible_residual`).
 3. Causes: which sets of mechanisms make the session likely, with what nobody knows exactly integrated out
    (`likelihood`, `random_effects`, `lost_commands`, `screening`, `estimation` with `estimated_set`, `cause_search`),
@@ -100,6 +100,7 @@ def diagnose(
         not_confirmed=_with_names(objection, named) if objection else None,
         not_registered=None if objection else judged.not_shown,
         units=unit_differences(explained.model, () if objection else explained.mechanisms),
+        unlike_in_reference=dict(reference.unlike),
         detection_limits=tuple(one.limit for one in limits),
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         likeliest=() if explained.verdict == "no_gap" else likeliest,

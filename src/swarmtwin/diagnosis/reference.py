@@ -1,6 +1,6 @@
 """Step 1. What a measured session is compared with: a simulation, its own noise, and how sure it is of itself."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Self
 
@@ -52,6 +52,7 @@ class Reference:
             as a gap.
         unit_spread: by which shares vehicles are expected to differ: as these do from each other, beside what the
             robot's file states, or else the settings' prior.
+        unlike: ids of its vehicles that are unlike its others by more than units differ, and in which differences.
         settings: of every diagnosis with this reference.
         tabulated: the simulation by a table of a model that looks at commands alone, which sessions are compared with
             in its place; None: with itself.
@@ -66,6 +67,7 @@ class Reference:
     vehicles: tuple[str, ...]
     discrepancy: Discrepancy | None
     unit_spread: UnitSpread
+    unlike: Mapping[str, tuple[str, ...]]
     settings: DiagnosisSettings
     tabulated: BaseDynamics | None = None
     quick: BaseDynamics | None = None
@@ -184,7 +186,7 @@ class Reference:
             alone = SessionLikelihood(own, noise, part, settings=settings)
             discrepancy = Discrepancy.learn(alone, settings.likelihood.discrepancy)
         vehicles = tuple(session.transitions.vehicles[index] for index in np.unique(session.transitions.vehicle))
-        return cls(base, noise, session, cross_fitted, vehicles, discrepancy, units.spread, settings)
+        return cls(base, noise, session, cross_fitted, vehicles, discrepancy, units.spread, units.unlike, settings)
 
     def likelihood_of(self, session: MeasuredSession) -> SessionLikelihood:
         """Return how likely a measured session is by this reference.

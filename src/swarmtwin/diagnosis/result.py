@@ -282,6 +282,8 @@ class DiagnosisResult(StrictModel):
             what the clock itself shows. Null where they do, or where there is none.
         not_registered: why the extension is kept but not registered though they confirm it. Null otherwise.
         units: what vehicles that the reference does not know do otherwise by fabrication. Empty in older files.
+        unlike_in_reference: ids of the reference's own vehicles that are unlike its others by more than units differ:
+            in which differences, as `unit_spread` names them, the clearest first. Empty in older files.
         detection_limits: for each cause, the smallest that the session would have shown.
         posterior: the leading sets of causes, the most probable first; that of no cause is among them. A changed noise
             is weighed apart. Empty in files that are older.
@@ -306,6 +308,7 @@ class DiagnosisResult(StrictModel):
     not_confirmed: str | None = None
     not_registered: str | None = None
     units: tuple[UnitDifference, ...] = ()
+    unlike_in_reference: dict[str, tuple[str, ...]] = Field(default_factory=dict)
     detection_limits: tuple[DetectionLimit, ...] = ()
     posterior: tuple[CauseSet, ...] = ()
     likeliest: tuple[EstimatedCause, ...] = ()

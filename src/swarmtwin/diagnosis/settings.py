@@ -100,10 +100,12 @@ class UnitSettings(StrictModel):
             is known: cheap gear motors are sold with ±10 %, two standard deviations. It is for any robot; a robot's
             file states its own where units were measured.
         prior_units: how many units that prior counts for against those that a reference has recorded.
+        unlike_level: probability with which, of units that differ by no more than that, one is said to be unlike.
     """
 
     spread: Positive = 0.05
     prior_units: Positive = 2.0
+    unlike_level: Share = 0.01
 
 
 class DependenceSettings(StrictModel):

@@ -14,6 +14,7 @@ from swarmtwin.diagnosis.measured_session import MeasuredSession
 from swarmtwin.diagnosis.noise import Noise
 from swarmtwin.diagnosis.session_prediction import SessionPredictor
 from swarmtwin.diagnosis.settings import UnitSettings
+from swarmtwin.diagnosis.unlike_units import unlike_units
 from swarmtwin.geometry import displacement_between, exp_map, log_map
 from swarmtwin.simulation.efforts import twist_of_wheels, wheel_travel
 
@@ -43,10 +44,12 @@ class ReferenceUnits:
         spread: how far units differ.
         errors: (N, 3) what of the simulation's errors is each unit's own, in the frame at the end of its period: the
             simulation answers for all of them on average.
+        unlike: ids of vehicles that are unlike the others by more than units differ, and in which differences.
     """
 
     spread: UnitSpread
     errors: np.ndarray
+    unlike: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
     def estimate(
@@ -95,12 +98,16 @@ class ReferenceUnits:
             unit.gram @ value for unit, value in zip(units, values, strict=True)
         )
         own_errors = np.zeros_like(errors)
-        for unit, value in zip(units, values - shared, strict=True):
-            own_errors[unit.rows] = change[unit.rows] @ value
+        for one, value in zip(units, values - shared, strict=True):
+            own_errors[one.rows] = change[one.rows] @ value
         beside_their_mean = math.sqrt(1 + 1 / len(vehicles))
-        return cls(
-            UnitSpread(settings.spread, {name: one * beside_their_mean for name, one in known.items()}), own_errors
-        )
+        spread = UnitSpread(settings.spread, {name: one * beside_their_mean for name, one in known.items()})
+        names, unlike = list(differences), dict[str, tuple[str, ...]]()
+        estimates = np.array([unit.value for unit in units]), np.array([unit.variance for unit in units])
+        for unit, difference in unlike_units(*estimates, settings):
+            vehicle = session.transitions.vehicles[vehicles[unit]]
+            unlike[vehicle] = (*unlike.get(vehicle, ()), names[difference])
+        return cls(spread, own_errors, unlike)
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,16 @@ PARTS = {
     "neighbours": "where other vehicles are",
     "vehicle": "which vehicle it is",
 }
+DIFFERENCES = {
+    "ahead": "how far it goes",
+    "aside": "how far it slides",
+    "turn": "how far it turns",
+    "left_to_right": "how fast its left wheel is beside the right one",
+    "askew": "how it steers",
+    "lag": "how late it follows",
+    "start": "at which command it starts to move",
+    "start_left_to_right": "at which command its left wheel starts to move beside the right one",
+}
 SHAPES = {
     "spread": "Errors scatter {} than the ordinary noise.",
     "tails": "Large errors are {} common than they were.",
@@ -98,12 +108,22 @@ def _or_rival(cause: Cause) -> str:
 
 
 def verdict_words(diagnosis: DiagnosisResult) -> str:
-    """Return in plain sentences what is wrong and what to do, and whose unit differs more than units usually do."""
+    """Return in plain sentences what is wrong and what to do, and which units differ more than units usually do."""
     other = max((one for one in diagnosis.units if one.is_unusual), key=_unlike, default=None)
+    of_reference = "".join(f" {_unlike_words(*one)}" for one in diagnosis.unlike_in_reference.items())
     if diagnosis.verdict == "no_gap":
-        return _no_gap_words(diagnosis, other)
+        return _no_gap_words(diagnosis, other) + of_reference
     beside = f" Beside that, {unit_words(other)}: more than units usually differ by." if other else ""
-    return _gap_words(diagnosis) + beside
+    return _gap_words(diagnosis) + beside + of_reference
+
+
+def _unlike_words(vehicle: str, differences: Sequence[str]) -> str:
+    """Return in words in what a vehicle of the reference is unlike its others."""
+    what = enumeration([DIFFERENCES.get(one, one) for one in differences])
+    return (
+        f"Vehicle {vehicle} of the reference is unlike the others there in {what}, by more than units usually differ: "
+        "if something is wrong with it, leave it out (reference_vehicles=)."
+    )
 
 
 def _no_gap_words(diagnosis: DiagnosisResult, other: UnitDifference | None) -> str:
