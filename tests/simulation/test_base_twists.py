@@ -7,7 +7,7 @@ import torch
 from exact_model import ExactDynamics, conditions_of
 from swarmtwin.simulation.base_twists import BaseTwists
 from swarmtwin.simulation.ensemble_dynamics import CorrectedDynamics
-from swarmtwin.simulation.following_actuators import ActuatorTwists, Following
+from swarmtwin.simulation.following_actuators import ActuatorTwists, Following, SettingChange
 from swarmtwin.simulation.mechanism import Moment
 
 COUNT = 30
@@ -110,3 +110,30 @@ def test_wheels_end_where_their_pieces_lead(dynamics, driven):
     _, _, expected = following.wheels(twists, lambda twist: 0.9 * twist, moving)
     for one, other in zip(following.wheels_at_end(twists, lambda twist: 0.9 * twist, moving), expected, strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=1e-12)
+
+
+class BendingDynamics(AskedDynamics):
+    """A fin, or a propeller: what it does is no straight line in its setting."""
+
+    inputs = ("command",)
+
+    def predict(self, situation):
+        return super().predict(situation.__class__(command=100 * torch.sin(situation.command / 40)))
+
+
+@pytest.mark.parametrize(("left_behind", "asked"), [(0.0, 0), (0.005, 1), (0.2, 4)])
+def test_settings_on_their_way_are_asked_once_for_all_lags_that_leave_little_behind(robots, driven, left_behind, asked):
+    moment, commands, _ = driven
+    dynamics = BendingDynamics(robots["mgr"])
+    twists = BaseTwists(dynamics, moment, commands)
+    start = commands[1] + left_behind * (commands[2] - commands[1])
+    following = Following(place=0, ends=(0.2, 0.5, 1.0), latency=0.0, added_lag=0.1)
+    change = SettingChange(following, 0, start, [0.9, 0.3, 0.02], start)
+    largest = max(float(piece.abs().max()) for piece in change.twists(twists))
+    dynamics.asked = 0
+    change._replace(following=following._replace(added_lag=0.11)).twists(twists)
+    assert dynamics.asked == asked * COUNT
+    on_the_way = change._on_the_way(twists, [0.5, 1.0])
+    for one, left in zip(on_the_way, (0.5, 1.0), strict=True):
+        setting = commands[0] + left * (start - commands[0])
+        assert (one - twists._ask(setting, setting, setting)).abs().max() < 0.01 * largest

@@ -29,6 +29,7 @@ class Answers:
 
     Attributes:
         to_commands: by the indices of the command and of the one before it.
+        between: to settings between those of two commands, by their indices and the share of the way that is left.
         to_settings: to settings on their way, by the roles of the commands, the way and the share of it that is left.
         delays: lateness and lag for which these settings hold.
         velocity: (N, 3) forward_mm_s, left_mm_s, turn_rad_s, from which a model with momentum goes on; None: not known.
@@ -37,6 +38,7 @@ class Answers:
     """
 
     to_commands: dict[tuple[int, int], Tensor] = field(default_factory=dict)
+    between: dict[tuple[int, int, float], Tensor] = field(default_factory=dict)
     to_settings: dict[tuple[object, ...], Tensor] = field(default_factory=dict)
     delays: tuple[float, float] = (0.0, 0.0)
     velocity: Tensor | None = None
@@ -156,6 +158,22 @@ class BaseTwists:
         """
         assert isinstance(self.dynamics, NetworkDynamics)
         return self.dynamics.sample(self._situation(*self.commands[:3]), rng, member)
+
+    def between(self, start: int, target: int, left: float) -> Tensor:
+        """Return the twists under a setting held for long that lies between those of two commands.
+
+        Args:
+            start: the place of the one.
+            target: of the other.
+            left: share of the way that is left.
+        """
+        if start == target or left in (0.0, 1.0):
+            return self.steady(start if left else target)
+        key = (self.roles[start], self.roles[target], left)
+        if key not in self.known.between:
+            setting = self.setting(target) + left * (self.setting(start) - self.setting(target))
+            self.known.between[key] = self._ask(setting, setting, setting)
+        return self.known.between[key]
 
     def at_setting(self, setting: Tensor, way: tuple[object, ...], delays: tuple[float, float]) -> Tensor:
         """Return the twists under a setting (N, m) held for long.

@@ -208,16 +208,30 @@ class SettingChange(NamedTuple):
         if not any(self.left) or torch.equal(self.start, twists.setting(self.towards)):
             return [steady] * len(self.left)
         points = (1 - np.cos(np.linspace(0, np.pi, 5))) / 2
-        known = [steady, *(self._on_the_way(twists, float(point)) for point in points[1:])]
+        known = [steady, *self._on_the_way(twists, [float(point) for point in points[1:]])]
         weights = np.linalg.solve(np.vander(points).T, np.vander(self.left, len(points)).T).T
         return [
             sum((float(one) * twist for one, twist in zip(row, known, strict=True)), torch.zeros_like(steady))
             for row in weights
         ]
 
-    def _on_the_way(self, twists: BaseTwists, left: float) -> Tensor:
-        """Return the twists (N, 3) under settings held for long, with a share of their way left."""
-        period, target = self.following, twists.setting(self.towards)
+    def _on_the_way(self, twists: BaseTwists, left: Sequence[float], near: float = 0.01) -> list[Tensor]:
+        """Return the twists (N, 3) under settings held for long, with shares of their way left, the last one all of it.
+
+        By the end of a period little is left of the way to its command, as a rule. Then the new way begins `near` that
+        command's own setting, as a share of the way, and is asked for from there, which is the same whatever lags;
+        by what else is left the twists change in proportion.
+        """
+        before = self.following.place + 1
+        target, ahead = twists.setting(self.towards), twists.setting(before)
+        beyond = (self.start - ahead).square().mean()
+        if beyond > near**2 * (twists.setting(before - 1) - ahead).square().mean():
+            return [self._asked(twists, target, share) for share in left]
+        more = self._asked(twists, target, 1.0) - twists.steady(before) if beyond else torch.zeros(1, 3)
+        return [twists.between(before, self.towards, share) + share * more for share in left]
+
+    def _asked(self, twists: BaseTwists, target: Tensor, left: float) -> Tensor:
+        period = self.following
         way = (period.place, self.towards, left)
         return twists.at_setting(target + left * (self.start - target), way, (period.latency, period.added_lag))
 
