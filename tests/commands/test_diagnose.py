@@ -227,6 +227,10 @@ def test_a_trained_simulation_is_diagnosed_by_its_folder(drives):
     assert [cause["name"] for cause in diagnosis["causes"]] == ["battery_sag"]
     extended = load_simulation(output / "simulation")
     assert extended.dynamics.dynamics.config.name == "mlp"
+    with_its_own = drives / "by_model_and_its_recording"  # which adds nothing to its evidence, and takes nothing away
+    given = (f"simulation={model}", f"reference={drives / 'reference'}", f"measured={drives / 'sag'}")
+    call("diagnose", "robot=mgr", *given, f"output={with_its_own}", *QUICK, "register=false", "pictures=false")
+    assert json.loads((with_its_own / "diagnosis.json").read_text())["causes"] == diagnosis["causes"]
 
 
 @pytest.mark.end_to_end

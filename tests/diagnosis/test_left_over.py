@@ -4,60 +4,16 @@ import numpy as np
 import pytest
 import torch
 from exact_base import ExactBase, as_simulated, errors_showing, known_noise, session_of
+from uncertain_base import likelihood
 
 from swarmtwin.diagnosis.cause_search import CauseSearch
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.explanation import explanation
-from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
 from swarmtwin.diagnosis.left_over import left_over, nats_of_uncertainty
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.reference_errors import ReferenceErrors
-from swarmtwin.diagnosis.screening import sought_kinds
-from swarmtwin.dynamics.predictor import DynamicsModule
 from swarmtwin.geometry import exp_map
-
-FOLDS = 6
-
-
-class LearnedBase(DynamicsModule):
-    """The exact model with a smooth error of the commands, as of one that was learned from few transitions.
-
-    Its members have seen different runs. They err by the same, and each a little otherwise: so that a jackknife over
-    them is as large as the error where `sure` is False, and a tenth of it where it is True.
-    """
-
-    inputs = ("command",)
-    members = FOLDS
-
-    def __init__(self, robot, sure, size=0.35, waves=12):
-        super().__init__()
-        self.robot, self.exact = robot, ExactBase(robot)
-        rng, columns = np.random.default_rng(11), len(robot.command)
-        self.waves = torch.as_tensor(rng.normal(0, 2.0, (FOLDS + 1, columns, waves)))
-        self.offsets = torch.as_tensor(rng.uniform(0, 2 * np.pi, (FOLDS + 1, waves)))
-        self.shares = torch.as_tensor(rng.normal(0, size * np.sqrt(2 / waves), (FOLDS + 1, waves, 3)))
-        self.shares *= torch.tensor([1.0, 1.0, 0.02])
-        self.shares[1:] *= np.sqrt(FOLDS) / (FOLDS - 1) * (0.1 if sure else 1.0)
-
-    def _function(self, command, number):
-        low, high = torch.as_tensor(self.robot.command_low), torch.as_tensor(self.robot.command_high)
-        unit = 2 * (command - low) / (high - low) - 1
-        return torch.cos(unit @ self.waves[number] + self.offsets[number]) @ self.shares[number]
-
-    def twist(self, situation, member=None):
-        command = situation.command.double()
-        members = range(FOLDS) if member is None else [member]
-        own = torch.stack([self._function(command, 1 + one) for one in members]).mean(dim=0)
-        return self.exact.twist(command) + self._function(command, 0) + own
-
-    def predict(self, situation):
-        return exp_map(self.twist(situation))
-
-
-def likelihood(robot, sure, moved=as_simulated, seed=3, size=0.35):
-    session = session_of(ExactBase(robot), np.random.default_rng(seed), moved)
-    return SessionLikelihood(LearnedBase(robot, sure, size), known_noise(), session)
 
 
 def explained(model):
@@ -109,28 +65,6 @@ def test_what_depends_on_little_is_not_drowned_by_all_that_errors_might_depend_o
     by_everything = np.diff([log_density(one, None).sum() for one in np.moveaxis(residual, -1, 0)])[0]
     assert by_everything < found.alarm < found.left.by_situation
     assert found.verdict == "unexplained"
-
-
-@pytest.mark.parametrize("robot", ["mgr", "mur"])
-def test_causes_gain_less_by_chance_where_the_simulation_is_sure_and_less_than_regressions_do(robots, robot):
-    by_chance, by_regression = {}, {}
-    for sure in (True, False):
-        model = likelihood(robots[robot], sure, size=0.2)
-        fitted = model.evaluate([])
-        by_chance[sure] = nats_by_chance(model, fitted.residual, 40)
-        by_regression[sure] = nats_of_uncertainty(model, fitted, model.disagreement, 12)[:, 0]
-    assert by_chance[True].mean() < by_chance[False].mean() < by_regression[False].mean()
-
-
-def test_what_the_best_cause_gains_by_chance_holds_what_it_gains_of_another_simulation_as_uncertain(robots):
-    """Nothing is wrong, but the simulation is: the search gains no more than the bootstrap says that it may."""
-    model = likelihood(robots["mgr"], sure=False, size=0.2)
-    kinds = {name: kind for name, kind in sought_kinds(model).items() if name in ("gain_change", "dead_band")}
-    posterior = CauseSearch(model, kinds, None).run()
-    single = [one for one in posterior.sets if len(one.names) == 1]
-    gained = max(one.fitted.total for one in single) - posterior.nothing.fitted.total
-    drawn = nats_by_chance(model, model.evaluate([]).residual, 100)
-    assert gained < drawn.mean() + 3 * drawn.std()
 
 
 def test_ground_on_which_vehicles_go_farther_along_than_across_is_seen(robots):

@@ -63,10 +63,15 @@ class Explanation:
     def is_uncertain(self) -> bool:
         """Whether the causes gain no more than they may where nothing but the simulation is uncertain, at most.
 
-        Or hardly more than the reference itself shows of them, where that was asked.
+        Unless each of them shows more than that imitates of it. Or whether they gain hardly more than the reference
+        itself shows of them, where that was asked.
         """
-        hardly_more = self.left.beyond_reference <= self.model.settings.verdict.alarm_nats
-        return hardly_more or self.gained <= self.left.most_by_chance
+        may_be_imitated = not self.left.certain.issuperset(self.best.names)
+        return self._hardly_gains or (self.gained <= self.left.most_by_chance and may_be_imitated)
+
+    @property
+    def _hardly_gains(self) -> bool:
+        return self.left.beyond_reference <= self.model.settings.verdict.alarm_nats
 
     @property
     def may_be_chance(self) -> bool:
@@ -207,7 +212,8 @@ class Explanation:
         if self.names or self.names_motion_noise:
             return "explained"
         is_probable = self.posterior.of_any >= self.model.settings.search.named_from
-        is_seen = self.best.names and not self.is_uncertain and is_probable
+        is_there = not self.is_uncertain or (self.left.certain and not self._hardly_gains)
+        is_seen = self.best.names and is_there and is_probable
         is_seen = is_seen or (self._is_more_random and self.leaves_outliers)
         return "unexplained" if is_seen else "no_gap"
 

@@ -139,7 +139,7 @@ class FlexibleResidual:
             scale: (N, 3) their usual spread.
             weight: (N,) how much each counts.
         """
-        return self._regressions([np.arange(self.columns.shape[1])], scale, weight).predicted(errors)[0]
+        return self.regressions([np.arange(self.columns.shape[1])], scale, weight).predicted(errors)[0]
 
     def alternatives(self, scale: np.ndarray, weight: np.ndarray) -> FlexibleRegressions:
         """Prepare a regression on everything, and one on each family alone.
@@ -147,11 +147,12 @@ class FlexibleResidual:
         What errors depend on in a small way drowns in what it costs to look at everything else as well.
         """
         everything = np.arange(self.columns.shape[1])
-        return self._regressions([everything, *(np.append(0, one) for one in self.families.values())], scale, weight)
+        return self.regressions([everything, *(np.append(0, one) for one in self.families.values())], scale, weight)
 
-    def _regressions(
+    def regressions(
         self, alternatives: Sequence[np.ndarray], scale: np.ndarray, weight: np.ndarray
     ) -> FlexibleRegressions:
+        """Prepare regressions, each on features of these numbers; otherwise as in `predicted`."""
         return FlexibleRegressions(self.columns, alternatives, self.fold, scale, weight, self.settings)
 
 

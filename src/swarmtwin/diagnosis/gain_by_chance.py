@@ -1,9 +1,14 @@
 """Step 3, its end: what causes of the catalogue would gain if nothing were wrong but the simulation's uncertainty."""
 
-import numpy as np
+from collections.abc import Sequence
 
-from swarmtwin.diagnosis.likelihood import SessionLikelihood, loses_commands
+import numpy as np
+from scipy import stats
+
+from swarmtwin.diagnosis.likelihood import SessionLikelihood, arriving, loses_commands
 from swarmtwin.diagnosis.screening import candidates, sought_kinds
+from swarmtwin.diagnosis.sized_causes import Surroundings
+from swarmtwin.simulation.mechanism import Mechanism
 
 
 def nats_by_chance(model: SessionLikelihood, residual: np.ndarray, draws: int) -> np.ndarray:
@@ -38,3 +43,54 @@ def nats_by_chance(model: SessionLikelihood, residual: np.ndarray, draws: int) -
         steps = np.linalg.lstsq(beyond.T @ changes, side, rcond=1e-8)[0]
         most = np.maximum(most, (steps * side).sum(axis=0) / 2)
     return most
+
+
+def beyond_uncertainty(
+    model: SessionLikelihood, mechanisms: Sequence[Mechanism], level: float = 0.005
+) -> frozenset[str]:
+    """Return the names of those causes that show more than an uncertain simulation imitates of them.
+
+    It errs somehow, and some cause looks like that, but not any: a simulation that does not look at the time does not
+    slow down as a battery does. Of what a cause changes beside the others, what goes with the situation as the
+    simulation sees it is left out. The rest is held against the errors, and against how members that have seen
+    different runs disagree along it, whose variance the M of them tell with M − 1 degrees of freedom. It shows more
+    where neither noise nor such a disagreement reaches as far but with a probability of `level`, over all that the
+    search has looked at (Bonferroni).
+
+    Args:
+        model: of the session.
+        mechanisms: the causes, with values; commands that they may lose are not looked at.
+        level: that of a session in which nothing is wrong.
+    """
+    settings, members, there = model.settings.search, model.members, arriving(mechanisms)
+    if members < 2 or not there:
+        return frozenset()
+    each = level / (len(sought_kinds(model)) * settings.grid_points)
+    by_noise, by_members = stats.chi2.isf(each, 1), stats.f.isf(each, 1, members - 1)
+    here, found = model.errors(there), []
+    for cause in there:
+        others = [one for one in there if one is not cause]
+        change = here - model.errors(others)
+        unseen = model.filter((change - _seen_part(model, change))[..., None]).ravel()
+        slopes, precision = Surroundings(model, others).slopes(())
+        effects = model.effects_of_certain_simulation.extended(slopes / np.sqrt(np.diag(precision)))
+        beyond = effects.beyond(unseen[:, None])[:, 0]
+        length = max(float(beyond @ unseen), 1e-12)
+        shown = float(beyond @ model.whitened(others).ravel()) ** 2 / length
+        imitated = float(((beyond @ model.disagreement_with(others)) ** 2).sum()) / length
+        if shown > by_noise + by_members * imitated:
+            found.append(cause.name)
+    return frozenset(found)
+
+
+_SEEN = {"command": ("command",), "previous_command": ("memory",), "pose": ("heading", "place")}
+"""Families of the flexible regression's features that go with a part of the situation."""
+
+
+def _seen_part(model: SessionLikelihood, change: np.ndarray) -> np.ndarray:
+    """Return what of a change of errors (N, 3) goes with the situation as the simulation sees it, (N, 3)."""
+    flexible = model.flexible
+    seen = [flexible.families[name] for part in model.predictor.base.inputs for name in _SEEN.get(part, ())]
+    largest = max(float(np.abs(change).max()), 1e-9)  # nothing is clipped
+    regressions = flexible.regressions([np.concatenate([[0], *seen])], np.full_like(change, largest), model.weight)
+    return regressions.predicted(change)[0]

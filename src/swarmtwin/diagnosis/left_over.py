@@ -10,7 +10,7 @@ from scipy import special
 from swarmtwin.diagnosis.beyond_reference import nats_beyond_reference
 from swarmtwin.diagnosis.error_history import nats_by_history
 from swarmtwin.diagnosis.estimated_set import EstimatedSet
-from swarmtwin.diagnosis.gain_by_chance import nats_by_chance
+from swarmtwin.diagnosis.gain_by_chance import beyond_uncertainty, nats_by_chance
 from swarmtwin.diagnosis.likelihood import FittedMechanisms, SessionLikelihood, arriving
 from swarmtwin.diagnosis.noise import log_density
 from swarmtwin.diagnosis.random_effects import member_disagreement
@@ -30,6 +30,7 @@ class LeftOver(NamedTuple):
             together no more than the first regression.
         beyond_reference: by which the session tells more of the causes than the reference, driven alike.
         by_variation: that regressions on how what the causes do varies gain.
+        certain: the causes that show more than an uncertain simulation imitates of them, where that was asked.
     """
 
     by_situation: float
@@ -39,6 +40,7 @@ class LeftOver(NamedTuple):
     most_by_chance: float = 0.0
     beyond_reference: float = math.inf
     by_variation: float = 0.0
+    certain: frozenset[str] = frozenset()
 
     @property
     def nats(self) -> float:
@@ -62,11 +64,12 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, refer
     drawn = nats_of_uncertainty(model, fitted, disagreement, settings.uncertainty_draws)
     expected, spread = drawn.mean(axis=0), drawn.std(axis=0)
     most = np.maximum(expected + settings.uncertainty_spreads * spread, 0.0)
-    by_chance, beyond = float(most[0]), math.inf
+    by_chance, beyond, certain = float(most[0]), math.inf, frozenset[str]()
     if 0 < gained <= by_chance:  # a catalogue follows less of the simulation's error than a regression does
         single = nats_by_chance(model, fitted.residual, settings.chance_draws)
         most_single = float(single.mean() + settings.uncertainty_spreads * single.std())
         by_chance = min(by_chance, len(best.names) * most_single)
+        certain = beyond_uncertainty(model, best.mechanisms)
         if arriving(best.mechanisms) and (own := reference.granted):
             beyond = nats_beyond_reference(model, own, best.mechanisms)
     return LeftOver(
@@ -77,6 +80,7 @@ def left_over(model: SessionLikelihood, best: EstimatedSet, gained: float, refer
         by_chance,
         beyond,
         by_variation,
+        certain,
     )
 
 

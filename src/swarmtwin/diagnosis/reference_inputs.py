@@ -31,7 +31,8 @@ def reference_for(
     Args:
         measured: the recording to diagnose.
         robot: whose recording it is.
-        reference: a recording in which nothing is wrong; where no simulation is given, one is learned from it.
+        reference: a recording in which nothing is wrong; where no simulation is given, one is learned from it. Where
+            one is given that was trained on a part of it, the rest counts, or the simulation's evidence if it is more.
         name: what messages call it.
         folder: a trained simulation; without a reference it is compared with its own evidence.
         situation: what a simulation learned here looks at; None: what the robot's file says, and the previous command.
@@ -60,8 +61,8 @@ def reference_for(
             "learn from a recording in which nothing is wrong, reference=DIR without simulation"
         )
     _refuse_overlap(provenance.learned, measured, f"the recording that {folder} was trained on")
+    evidence = load_evidence(folder)
     if reference is None:
-        evidence = load_evidence(folder)
         if evidence is None:
             raise UserError(
                 f"{folder} holds no evidence.parquet, real transitions that it was not fitted to: train it anew on "
@@ -69,7 +70,10 @@ def reference_for(
             )
         return Reference.of_simulation(dynamics, evidence, seed, settings), provenance.learned
     _refuse_overlap(tuple(track.digest() for track in reference.tracks), measured, name)
-    transitions, _ = from_recording(provenance.unseen_part(reference))
+    unseen = provenance.unseen_part(reference)
+    transitions, _ = from_recording(unseen)
+    if unseen is not reference and evidence is not None and len(evidence) > len(transitions):
+        transitions = evidence  # the same recording's, with the runs that it was chosen by
     return Reference.of_simulation(dynamics, transitions, seed, settings), provenance.learned
 
 
