@@ -18,7 +18,7 @@ from swarmtwin.diagnosis.motion_noise_change import motion_noise_change
 from swarmtwin.diagnosis.own_units import unit_differences, with_own_unit
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.settings import DiagnosisSettings, UnitSettings
-from swarmtwin.diagnosis.unit_spread import UnitSpread
+from swarmtwin.diagnosis.unit_spread import UnitSpread, unit_changes
 from swarmtwin.geometry import compose, exp_map
 from swarmtwin.robot import Robot
 from swarmtwin.simulation.actuation import with_actuation
@@ -343,3 +343,14 @@ def test_a_unit_that_does_not_show_a_difference_says_nothing_of_it(robots):
 
 def test_no_shipped_robot_states_what_only_its_stand_in_knows(robots):
     assert {robot.unit_spread for robot in robots.values()} == {None}
+
+
+def test_fins_that_never_move_show_no_difference_in_when_they_start(robots):
+    robot = robots["mur"]
+    base, command = ExactBase(robot), np.zeros((6, 10, len(robot.command)))
+    command[..., robot.command_columns.index("frequency_rad_s")] = 5.0
+    session = session_of(base, np.random.default_rng(1), command=command)
+    predictor = SessionLikelihood(base, known_noise(), session).predictor
+    changes = unit_changes(predictor, predictor.twist(()), session)
+    assert not changes["start"].any()
+    assert all(one.isfinite().all() for one in changes.values())

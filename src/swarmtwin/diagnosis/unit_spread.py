@@ -237,6 +237,8 @@ def _starts(
     if actuation.effort and actuation.kind == "thrust":
         places = [session.transitions.robot.command_columns.index(column) for column in actuation.effort]
         usual = float(commands[0][:, places].square().mean().sqrt())
+        if not usual:  # nothing is driven
+            return {"start": torch.zeros_like(twist)}
         step = 0.02 * usual
         return {"start": _by_other_commands(predictor, session, commands, actuation.effort, step) * usual / step}
     if actuation.kind == "wheel" and track_mm:
