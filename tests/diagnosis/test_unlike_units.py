@@ -25,6 +25,16 @@ def test_of_units_that_differ_as_expected_or_less_hardly_one_is_unlike(units):
         assert np.mean(said) < 0.017
 
 
+@pytest.mark.parametrize(("units", "weaker"), [(5, 0.4), (8, 0.25)])
+def test_how_weak_a_vehicle_must_be_to_be_told_in_nine_of_ten(units, weaker):
+    """In two of seven differences; the others differ by 2 %."""
+    rng, deviation = np.random.default_rng(units), np.full((units, 7), 0.005)
+    values = rng.normal(size=(300, *deviation.shape)) * 0.02
+    values[:, -1, :2] -= weaker
+    told = [units - 1 in {unit for unit, _ in unlike_units(one, deviation**2, UnitSettings())} for one in values]
+    assert np.mean(told) > 0.9
+
+
 def test_it_takes_more_than_two_that_show_a_difference():
     values = np.array([[0.0, 0.01], [0.9, 0.0], [np.nan, 0.6]])
     assert unlike_units(values, np.full_like(values, 1e-6), UnitSettings(spread=0.02)) == [(2, 1)]
@@ -43,7 +53,6 @@ def test_a_vehicle_of_a_reference_with_weak_motors_is_unlike_its_others(robots, 
 def test_a_reference_keeps_who_is_unlike(robots):
     transitions = fleet_session(robots["mgr"], 5, 0.02, 5, unlike=0.6)[1].transitions
     assert set(Reference.learn(transitions, 1).unlike) == {"5"}
-    assert not Reference.learn(transitions.where(transitions.vehicle < 4), 1).unlike
 
 
 @pytest.mark.parametrize("verdict", ["no_gap", "explained"])

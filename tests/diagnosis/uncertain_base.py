@@ -21,10 +21,10 @@ class LearnedBase(DynamicsModule):
     inputs = ("command",)
     members = FOLDS
 
-    def __init__(self, robot, sure, size=0.35, waves=12):
+    def __init__(self, robot, sure, size=0.35, waves=12, seed=11):
         super().__init__()
         self.robot, self.exact = robot, ExactBase(robot)
-        rng, columns = np.random.default_rng(11), len(robot.command)
+        rng, columns = np.random.default_rng(seed), len(robot.command)
         self.waves = torch.as_tensor(rng.normal(0, 2.0, (FOLDS + 1, columns, waves)))
         self.offsets = torch.as_tensor(rng.uniform(0, 2 * np.pi, (FOLDS + 1, waves)))
         self.shares = torch.as_tensor(rng.normal(0, size * np.sqrt(2 / waves), (FOLDS + 1, waves, 3)))
@@ -46,6 +46,7 @@ class LearnedBase(DynamicsModule):
         return exp_map(self.twist(situation))
 
 
-def likelihood(robot, sure, moved=as_simulated, seed=3, size=0.35):
+def likelihood(robot, sure, moved=as_simulated, seed=3, size=0.35, of_error=11):
+    """A session of a simulation that errs by a function that a seed of its own draws."""
     session = session_of(ExactBase(robot), np.random.default_rng(seed), moved)
-    return SessionLikelihood(LearnedBase(robot, sure, size), known_noise(), session)
+    return SessionLikelihood(LearnedBase(robot, sure, size, seed=of_error), known_noise(), session)

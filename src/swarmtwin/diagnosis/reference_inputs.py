@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from swarmtwin.diagnosis.reference import Reference, enough_measured
 from swarmtwin.diagnosis.settings import DiagnosisSettings
 from swarmtwin.dynamics.model_folder import load_evidence
 from swarmtwin.dynamics.predictor import NetworkDynamics
+from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.learning.device import Device, torch_device
 from swarmtwin.recordings.recording import Recording
@@ -32,7 +35,7 @@ def reference_for(
         measured: the recording to diagnose.
         robot: whose recording it is.
         reference: a recording in which nothing is wrong; where no simulation is given, one is learned from it. Where
-            one is given that was trained on a part of it, the rest counts, or the simulation's evidence if it is more.
+            one is given, its runs count that the simulation was not fitted to.
         name: what messages call it.
         folder: a trained simulation; without a reference it is compared with its own evidence.
         situation: what a simulation learned here looks at; None: what the robot's file says, and the previous command.
@@ -61,8 +64,8 @@ def reference_for(
             "learn from a recording in which nothing is wrong, reference=DIR without simulation"
         )
     _refuse_overlap(provenance.learned, measured, f"the recording that {folder} was trained on")
-    evidence = load_evidence(folder)
     if reference is None:
+        evidence = load_evidence(folder)
         if evidence is None:
             raise UserError(
                 f"{folder} holds no evidence.parquet, real transitions that it was not fitted to: train it anew on "
@@ -70,11 +73,23 @@ def reference_for(
             )
         return Reference.of_simulation(dynamics, evidence, seed, settings), provenance.learned
     _refuse_overlap(tuple(track.digest() for track in reference.tracks), measured, name)
-    unseen = provenance.unseen_part(reference)
-    transitions, _ = from_recording(unseen)
-    if unseen is not reference and evidence is not None and len(evidence) > len(transitions):
-        transitions = evidence  # the same recording's, with the runs that it was chosen by
+    transitions, _ = from_recording(_not_fitted(reference, folder, provenance))
     return Reference.of_simulation(dynamics, transitions, seed, settings), provenance.learned
+
+
+def _not_fitted(reference: Recording, folder: Path, provenance: Provenance) -> Recording:
+    """Return the part of a recording that a simulation has not seen, with the runs that it was only chosen by.
+
+    Raises:
+        UserError: nothing is left.
+    """
+    learned = set(provenance.learned)
+    if not any(track.digest() in learned for track in reference.tracks):
+        return reference
+    evidence = load_evidence(folder)
+    chosen_by = {evidence.runs[run] for run in np.unique(evidence.run)} if evidence is not None else set()
+    part = reference.where(lambda track: track.run in chosen_by or track.digest() not in learned)
+    return part if part.tracks else provenance.unseen_part(reference)
 
 
 def _refuse_overlap(learned: tuple[str, ...], measured: Recording, what: str) -> None:

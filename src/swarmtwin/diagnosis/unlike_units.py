@@ -1,6 +1,5 @@
 """Step 1. Which vehicles of a reference are unlike the others, by more than units of a robot differ."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,17 +20,15 @@ def unlike_units(values: np.ndarray, variances: np.ndarray, settings: UnitSettin
         variances: (K, P) of these.
         settings: the prior.
     """
-    shown = np.isfinite(values) & (np.isfinite(values).sum(axis=0) > 2)  # of two nobody knows which one it is
-    tests = int(shown.sum())
-    found = []
-    for unit, difference in zip(*np.nonzero(shown), strict=True):
-        others = shown[:, difference] & (np.arange(len(values)) != unit)
-        beside, count = values[others, difference], int(others.sum())
-        freedom = settings.prior_units + count - 1
-        spread = (settings.prior_units * settings.spread**2 + ((beside - beside.mean()) ** 2).sum()) / freedom
-        scale = math.sqrt(spread * (1 + 1 / count) + variances[unit, difference])
-        away = abs(values[unit, difference] - beside.mean()) / scale
-        chance = 2 * float(stats.t.sf(away, freedom))
-        if chance * tests < settings.unlike_level:
-            found.append((chance, int(unit), int(difference)))
-    return [(unit, difference) for _, unit, difference in sorted(found)]
+    shown = np.isfinite(values)
+    shown &= shown.sum(axis=0) > 2  # of two nobody knows which one it is
+    value, variance = np.where(shown, values, 0.0), np.where(shown, variances, 0.0)
+    count = np.maximum(shown.sum(axis=0) - 1, 1)  # of the others
+    mean = (value.sum(axis=0) - value) / count
+    squares = (value**2).sum(axis=0) - value**2 - count * mean**2
+    freedom = settings.prior_units + count - 1
+    spread = (settings.prior_units * settings.spread**2 + np.maximum(squares, 0.0)) / freedom
+    away = np.abs(value - mean) / np.sqrt(spread * (1 + 1 / count) + variance)
+    chance = np.where(shown, 2 * stats.t.sf(away, freedom), 1.0)
+    found = np.argwhere(chance * shown.sum() < settings.unlike_level)
+    return sorted(((int(unit), int(difference)) for unit, difference in found), key=lambda one: chance[one])

@@ -219,15 +219,16 @@ class SettingChange(NamedTuple):
         """Return the twists (N, 3) under settings held for long, with shares of their way left, the last one all of it.
 
         By the end of a period little is left of the way to its command, as a rule. Then the new way begins `near` that
-        command's own setting, as a share of the way, and is asked for from there, which is the same whatever lags;
-        by what else is left the twists change in proportion.
+        command's own setting, as a share of the longest way, and is asked for from there, which is the same whatever
+        lags; by what else is left the twists change in proportion.
         """
         before = self.following.place + 1
         target, ahead = twists.setting(self.towards), twists.setting(before)
-        beyond = (self.start - ahead).square().mean()
-        if beyond > near**2 * (twists.setting(before - 1) - ahead).square().mean():
+        longest = (twists.setting(before - 1) - ahead).abs().amax(dim=0).clamp(min=1e-9)
+        beyond = float(((self.start - ahead).abs() / longest).amax())
+        if beyond > near:
             return [self._asked(twists, target, share) for share in left]
-        more = self._asked(twists, target, 1.0) - twists.steady(before) if beyond else torch.zeros(1, 3)
+        more = self._asked(twists, target, 1.0) - twists.steady(before) if beyond else 0.0
         return [twists.between(before, self.towards, share) + share * more for share in left]
 
     def _asked(self, twists: BaseTwists, target: Tensor, left: float) -> Tensor:
