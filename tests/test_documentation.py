@@ -294,6 +294,21 @@ def test_what_is_named_of_another_vehicle_is_what_was_judged():
     assert cells_of_results("causes named of another vehicle that are not there") == expected
 
 
+def test_what_a_stricter_level_would_name_is_what_both_seeds_counted():
+    pages = [counted_of_the_diagnosis("by_least_share", page=page) for page in ("hidden_effects", "confirmation")]
+    rows = {
+        "one effect, error up by 10 % or more: named, and nothing else": "one_of_clear",
+        "two effects: both, and nothing else": "two",
+        "three effects: all, and nothing else": "three",
+        "in no catalogue: a name given": "outside",
+    }
+    for row, name in rows.items():
+        levels = [[page[least][name] for page in pages] for least in ("0", "98", "99", "99.5", "99.9")]
+        counts = [sum(one["count"] for one in level) for level in levels]
+        expected = [f"{counts[0]} of {sum(one['total'] for one in levels[0])}", *map(str, counts[1:])]
+        assert cells_of_results(row)[:-1] == expected, row
+
+
 def test_the_table_of_other_methods_is_what_the_study_counted():
     methods = counted_of_the_diagnosis("methods")
     rows = {

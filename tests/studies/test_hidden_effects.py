@@ -167,6 +167,36 @@ def test_what_became_of_sessions_that_are_not_told_as_a_whole():
     assert [row[1] for row in shown.rows] == told
 
 
+def test_who_would_be_named_if_causes_had_to_explain_more_is_counted():
+    def explaining(share, *about, **changes):
+        given = result(*about, **changes)
+        causes = [one.model_copy(update={"share_of_gap": share / len(given.causes)}) for one in given.causes]
+        return given.model_copy(update={"causes": tuple(causes)})
+
+    results = [
+        explaining(0.997, "one", "dead_band", ["dead_band"]),
+        explaining(0.96, "one", "dead_band", ["dead_band"], rise=5.0),
+        explaining(0.97, "one", "dead_band", ["saturation"]),
+        explaining(0.0, "one", "noise_change", ["noise_change"]),  # which moves no mean
+        result("one", "dead_band", verdict="no_gap"),
+        explaining(0.985, "two", "dead_band+marker_yaw", ["marker_yaw", "dead_band"]),
+        explaining(0.992, "outside", "bowl", ["dead_band"]),
+        result("outside", "bowl", verdict="unexplained"),
+        result("clean", "", verdict="no_gap"),
+    ]
+    counted = {
+        least: [own[name].count for name in ("one_of_clear", "one", "two", "three", "outside", "clean")]
+        for least, own in summarise(results)["by_least_share"].items()
+    }
+    assert counted["0"] == counted["95"] == [2, 3, 1, 0, 1, 0]
+    assert counted["98"] == [2, 2, 1, 0, 1, 0]
+    assert counted["99"] == [2, 2, 0, 0, 1, 0]
+    assert counted["99.5"] == [2, 2, 0, 0, 0, 0]
+    assert counted["99.9"] == [1, 1, 0, 0, 0, 0]
+    shown = next(table for table in study_tables(summarise(results)) if "explain more" in table.title)
+    assert shown.rows[0] == ["as it is", "2 of 4", "3 of 5", "1 of 1", "–", "1 of 2", "0 of 1"]
+
+
 def test_what_is_named_as_certain_is_counted_by_what_its_session_hides():
     results = [
         result("one", "dead_band", ["dead_band", "saturation"], confidence=0.995),

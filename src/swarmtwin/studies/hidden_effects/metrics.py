@@ -40,6 +40,9 @@ HIDING = ("one", "two", "three")
 CERTAIN = 0.99
 """A cause that is named with a greater probability is told as all but certain."""
 
+LEAST_SHARES = (0.0, 0.95, 0.98, 0.99, 0.995, 0.999)
+"""Shares of what can be explained that causes might have to explain to be named; the first one as it is."""
+
 NAMING = ("exact", "found", "named_first", "listed", "falsely_named")
 OTHER_LAW = ("found", "exact", "likeliest_true", "falsely_named", "not_explained")
 SILENCE = ("found", "not_named", "not_explained")
@@ -89,7 +92,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             above that of the exact mean. Where exact means are not known, `beside_twin`: of the error above that of the
             same session without the effects, which may err more.
         seconds, memory_mb: of a diagnosis, median and largest, its reference's learning included in the memory.
-    Over all families: `cases`, `failed`, `misspecified_by_effect`, `outside_by_effect`, `clean_by_variety`. Of each
+    Over all families: `cases`, `failed`, `misspecified_by_effect`, `outside_by_effect`, `clean_by_variety`, and
+    `by_least_share`: what would be named if causes had to explain more of what can be explained. Of each
     family what several methods make of the same cases (see `method_comparison.compared`): `methods` beside the
     diagnosis, and `true_model`, what is made of them with the true model in hand.
     """
@@ -104,6 +108,7 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         "cases": len(table),
         "failed": Proportion.of(table.verdict == "failed"),
         "families": families,
+        "by_least_share": {f"{100 * least:.3g}": _named_from(table, least) for least in LEAST_SHARES},
         "misspecified_by_effect": _of_each(misspecified, "about", lambda own: _proportions(own, OTHER_LAW)),
         "outside_by_effect": _of_each(outside, "about", _silence),
         "clean_by_variety": _of_each(clean, "about", lambda own: _proportions(own, ALARMS)),
@@ -161,6 +166,17 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "seconds": median_and_most(table.seconds),
         "learning_seconds": median_and_most(table.learning_seconds),
         "memory_mb": median_and_most(table.memory_mb),
+    }
+
+
+def _named_from(table: pd.DataFrame, least: float) -> Proportions:
+    """Count who would be named, rightly and wrongly, if causes had to explain `least` of what can be explained."""
+    named = table.accused & ~(table.explained_share < least)
+    exact, clear = named & table.exact, in_rise_bin(table, CLEAR)
+    return {
+        "one_of_clear": Proportion.of(exact[(table.kind == "one") & clear]),
+        **{kind: Proportion.of(exact[table.kind == kind]) for kind in HIDING},
+        **{kind: Proportion.of(named[table.kind == kind]) for kind in ("outside", "clean")},
     }
 
 

@@ -144,6 +144,8 @@ def results_table(results: Sequence[Result]) -> pd.DataFrame:
         exact: the causes named are the true ones, all of them and no other.
         not_told: the true causes that are not named.
         falsely_named: a cause is named that is not there.
+        explained_share: how much the causes named explain of what can be explained; 1 where only the motion's
+            randomness is named, NaN where nothing is.
         likeliest: the causes that are the likeliest together; likeliest_true: they are the true ones and no others.
         fitting_first, fitting_exact, rule_first, rule_exact: likewise of the other methods.
         true_model, true_model_first, true_model_exact, true_model_seconds: likewise of what has the true model, which
@@ -175,6 +177,7 @@ def _row(result: Result) -> dict[str, Any]:
         "exact": result.verdict is not None and sorted(named) == sorted(true),
         "not_told": "+".join(name for name in true if name not in named),
         "falsely_named": bool(set(named) - set(true)),
+        "explained_share": sum(cause.share_of_gap for cause in result.causes) or (1.0 if named else math.nan),
         "likeliest": "+".join(result.likeliest),
         "likeliest_true": bool(true) and sorted(_counted(result, result.likeliest)) == sorted(true),
         "depends_on": "+".join(result.depends_on),

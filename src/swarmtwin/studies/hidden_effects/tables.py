@@ -18,6 +18,24 @@ def study_tables(summary: dict[str, Any]) -> list[StudyTable]:
 def _all_tables(summary: dict[str, Any]) -> Iterator[StudyTable]:
     yield _marks_table(summary)
     yield _not_told_table(summary["families"])
+    yield StudyTable(
+        "Were causes named only if they explain more of what can be explained",
+        (
+            "at least",
+            "one cause, error up by ≥ 10 %: it and nothing else",
+            "one",
+            "two",
+            "three",
+            "in no catalogue: a cause named",
+            "nothing wrong: a cause named",
+        ),
+        [
+            [f"{least} %" if float(least) else "as it is", *map(_few, own.values())]
+            for least, own in summary["by_least_share"].items()
+            if own["outside"].total  # else nothing speaks for naming less
+        ],
+        caption="all families together",
+    )
     for family, own in summary["families"].items():
         yield _mechanisms_table(family, own)
     yield StudyTable(
