@@ -122,7 +122,7 @@ def _unlike_words(vehicle: str, differences: Sequence[str]) -> str:
     what = enumeration([DIFFERENCES.get(one, one) for one in differences])
     return (
         f"Vehicle {vehicle} of the reference is unlike the others there in {what}, by more than units usually differ: "
-        "if something is wrong with it, leave it out (reference_vehicles=)."
+        "if something is wrong with it, diagnose again without it (reference_vehicles=)."
     )
 
 
