@@ -45,47 +45,42 @@ def nats_by_chance(model: SessionLikelihood, residual: np.ndarray, draws: int) -
     return most
 
 
-def beyond_uncertainty(
-    model: SessionLikelihood, mechanisms: Sequence[Mechanism], level: float = 0.005, least_unseen: float = 0.05
-) -> frozenset[str]:
+def beyond_uncertainty(model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> frozenset[str]:
     """Return the names of those causes that show more than an uncertain simulation imitates of them.
 
     It errs somehow, and some cause looks like that, but not any: a simulation that does not look at the time does not
     slow down as a battery does. Of what a cause changes beside the others, a ridge regression takes off what goes with
     the situation as the simulation sees it. The rest is held against the errors, and against how members that have seen
     different runs disagree along it, whose variance the M of them tell with M − 1 degrees of freedom. It shows more
-    where neither noise nor such a disagreement reaches as far but with a probability of about `level`, over all that
-    the search has looked at (Bonferroni): of six members it must reach 19 times as far as their standard deviation.
-    Where hardly anything is the rest, it is what the regression cannot fit, and says nothing.
+    where neither noise nor such a disagreement reaches as far but with a probability of about `imitated_level`, over
+    all that the search has looked at (Bonferroni). A rest of no more than `least_unseen` is what the regression cannot
+    fit, and says nothing.
 
     Args:
         model: of the session.
         mechanisms: the causes, with values; commands that they may lose are not looked at.
-        level: that of a session in which nothing is wrong.
-        least_unseen: share of what a cause changes, squared, that must be left.
 
     Returns:
         None of them where the simulation has one member, or goes on from its own velocity, which holds all commands
         before.
     """
-    settings, members, there = model.settings.search, model.members, arriving(mechanisms)
+    settings, members, there = model.settings, model.members, arriving(mechanisms)
     if members < 2 or not there or model.has_momentum:
         return frozenset()
-    each = level / (len(sought_kinds(model)) * settings.grid_points)
+    each = settings.verdict.imitated_level / (len(sought_kinds(model)) * settings.search.grid_points)
     by_noise, by_members = stats.chi2.isf(each, 1), stats.f.isf(each, 1, members - 1)
     here, found = model.errors(there), []
     for cause in there:
         others = [one for one in there if one is not cause]
         change = here - model.errors(others)
         both = model.filter(np.stack([change, change - _seen_part(model, change)], axis=-1)).reshape(-1, 2)
-        slopes, precision = Surroundings(model, others).slopes(())
-        effects = model.effects_of_certain_simulation.extended(slopes / np.sqrt(np.diag(precision)))
-        beyond = effects.beyond(both)
+        beyond = Surroundings(model, others, model.effects_of_certain_simulation).beyond(both)
         whole, length = (max(float(one), 1e-12) for one in (beyond * both).sum(axis=0))
         unseen = beyond[:, 1]
         shown = float(unseen @ model.whitened(others).ravel()) ** 2 / length
         imitated = float(((unseen @ model.disagreement_with(others)) ** 2).sum()) / length
-        if length > least_unseen * whole and shown > by_noise + by_members * imitated:
+        is_seen = length <= settings.verdict.least_unseen * whole
+        if not is_seen and shown > by_noise + by_members * imitated:
             found.append(cause.name)
     return frozenset(found)
 

@@ -271,6 +271,10 @@ class VerdictSettings(StrictModel):
         chance_draws: likewise, for what causes would gain by it.
         uncertainty_spreads: standard deviations over draws by which that may lie above their mean: of clean sessions
             1 in 200 may alarm, and nats have a longer tail than a normal.
+        imitated_level: likewise, probability with which a cause that an uncertain simulation imitates is taken for
+            more than that.
+        least_unseen: share of the squared change by a cause that must not go with the situation as the simulation sees
+            it, for that to be asked.
         most_left: of what the causes gain that may be left over: as a form leaves that is wrong by a fifth.
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
         nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
@@ -287,6 +291,8 @@ class VerdictSettings(StrictModel):
     uncertainty_draws: Count = 12
     chance_draws: Count = 100
     uncertainty_spreads: NonNegative = 3.0
+    imitated_level: Share = 0.005
+    least_unseen: Share = 0.05
     most_left: Share = 0.04
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05

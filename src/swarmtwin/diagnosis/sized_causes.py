@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, arriving
+from swarmtwin.diagnosis.random_effects import RandomEffects
 from swarmtwin.diagnosis.screening import Candidate
 from swarmtwin.simulation.mechanism import Mechanism, Parameter
 
@@ -63,15 +64,18 @@ class Surroundings:
     Args:
         model: of the session of N transitions.
         mechanisms: that are there, with values; commands that they may lose are not looked at.
+        effects: what else is no gap; None: all of it.
     """
 
-    def __init__(self, model: SessionLikelihood, mechanisms: Sequence[Mechanism]) -> None:
-        self.model = model
+    def __init__(
+        self, model: SessionLikelihood, mechanisms: Sequence[Mechanism], effects: RandomEffects | None = None
+    ) -> None:
+        self.model, effects = model, effects or model.effects
         self.arriving = arriving(mechanisms)
         self._here = model.whitened(self.arriving)
         self._slopes, precision = self.slopes(())
         prior = np.sqrt(np.diag(precision))
-        self._effects = model.effects.extended(self._slopes / prior) if len(prior) else model.effects
+        self._effects = effects.extended(self._slopes / prior) if len(prior) else effects
 
     def change(self, mechanism: Mechanism) -> np.ndarray:
         """Return (3 N,) by what a mechanism changes whitened errors."""
