@@ -251,6 +251,8 @@ def test_the_table_of_another_seed_is_what_the_study_counted():
         expected = [*(shown([own]) for own in new), shown([*new, *old])]
         assert cells_of_results(row)[:3] == expected, row
     assert cells_of_results("calibration error")[:2] == [f"{own['calibration_error']:.3f}" for own in new]
+    by_chance = cells_of_results("the same, below that in 95 % of such studies if confidences are right")
+    assert by_chance[:2] == [f"{own['calibration_error_by_chance']:.3f}" for own in new]
 
 
 def test_the_table_of_another_vehicle_is_what_the_study_counted():

@@ -13,6 +13,7 @@ from swarmtwin.diagnosis import extension
 from swarmtwin.diagnosis.reference import Reference
 from swarmtwin.diagnosis.report.sentences import verdict_words
 from swarmtwin.diagnosis.saved_diagnosis import read_result
+from swarmtwin.diagnosis.settings import VerdictSettings
 from swarmtwin.dynamics.evaluation import predict
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.recordings.reading import read_recording
@@ -132,7 +133,8 @@ def test_the_result_keeps_how_probable_the_leading_sets_are(diagnosed):
     assert sets[()].log_evidence == 0
     assert sum(one.probability for one in diagnosis.posterior) <= 1 + 1e-5
     together = sum(one.probability for one in diagnosis.posterior if "battery_sag" in one.causes)
-    assert together == pytest.approx(diagnosis.causes[0].confidence, abs=1e-3)
+    named = 1 - VerdictSettings().not_in_catalogue
+    assert named * together == pytest.approx(diagnosis.causes[0].confidence, abs=1e-3)
     limits = {limit.cause: limit for limit in diagnosis.detection_limits}
     assert {"battery_sag", "command_delay", "command_loss", "noise_change", "dead_band"} <= limits.keys()
     assert limits["battery_sag"].value < diagnosis.causes[0].parameters["loss"].value

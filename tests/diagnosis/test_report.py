@@ -105,14 +105,14 @@ def test_the_numbers_on_the_page_are_those_of_the_diagnosis(tmp_path):
     page = page_of(made_session(diagnosis, moved_late), tmp_path)
     assert (
         "The robot departs from the simulation because the marker is turned by 5.7° to the right on the vehicle – glue "
-        "the marker on straight, or enter its angle; and because commands act 0.15 s late (probability 99 %; less "
+        "the marker on straight, or enter its angle; and because commands act 0.15 s late (confidence 99 %; less "
         "likely, but not excluded: actuator lag) – check network, broker and camera for latency. Before anything is "
         "repaired, make the recording below, which tells command delay and actuator lag apart."
     ) in page.above
     for said in (
         "Command delay : commands act 0.15 s (0.13 to 0.17) late.",
         "Marker yaw : the marker is turned by 5.7° (4.6 to 6.9) to the right on the vehicle.",
-        "Posterior probability 99 %; it explains 93 % of the squared error that can be explained",
+        "Confidence 99 %; it explains 93 % of the squared error that can be explained",
         "Less likely, but not excluded: actuator lag. With the commands driven here, the robot would move nearly the "
         "same; the drive below tells them apart",
         "before 8.61 mm after 1.82 mm −6.8 mm (−7.1 to −6.5), −79",

@@ -13,7 +13,7 @@ from exact_model import conditions_of
 from swarmtwin.diagnosis.result import DetectionLimit, Estimate
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
 from swarmtwin.studies.hidden_effects.held_out_gain import Displacements, HeldOutGain, held_out_gain
-from swarmtwin.studies.hidden_effects.metrics import expected_calibration_error, summarise
+from swarmtwin.studies.hidden_effects.metrics import calibration_error_by_chance, expected_calibration_error, summarise
 from swarmtwin.studies.hidden_effects.peak_memory import forget_peak, peak_mb
 from swarmtwin.studies.hidden_effects.proportions import CLEAR, Proportion
 from swarmtwin.studies.hidden_effects.results import (
@@ -112,6 +112,18 @@ def test_confidences_that_are_right_as_often_as_they_say_have_no_calibration_err
     assert formulas(results)["calibration_error"] == pytest.approx(0.3)
 
 
+def test_a_calibration_error_is_shown_beside_what_chance_makes_it():
+    of_a_hundred, all_certain = pd.Series([0.9] * 100), pd.Series([1.0] * 100)
+    # of a hundred that are there with 90 %, 84 to 95 are in 95 % of draws
+    assert calibration_error_by_chance(of_a_hundred) == pytest.approx(0.06, abs=0.011)
+    assert calibration_error_by_chance(all_certain) == 0.0
+    assert calibration_error_by_chance(pd.Series(dtype=float)) is None
+    results = [result("one", "gain_change", ["gain_change"], confidence=0.9)] * 100
+    (marks, *_) = study_tables(summarise(results))
+    (row,) = (one for one in marks.rows if "by chance" in one[0])
+    assert float(row[1]) == pytest.approx(0.06, abs=0.011)
+
+
 def test_the_most_memory_of_a_session_forgets_that_of_the_one_before():
     forget_peak()
     before = peak_mb()
@@ -199,10 +211,10 @@ def test_who_would_be_named_if_causes_had_to_explain_more_is_counted():
 
 def test_what_is_named_as_certain_is_counted_by_what_its_session_hides():
     results = [
-        result("one", "dead_band", ["dead_band", "saturation"], confidence=0.995),
-        result("one", "dead_band", ["saturation"], confidence=0.9),
-        result("outside", "wobble", ["dead_band"], confidence=1.0),
-        result("clean", "", ["dead_band"], confidence=1.0),
+        result("one", "dead_band", ["dead_band", "saturation"], confidence=0.885),
+        result("one", "dead_band", ["saturation"], confidence=0.8),
+        result("outside", "wobble", ["dead_band"], confidence=0.89),
+        result("clean", "", ["dead_band"], confidence=0.89),
     ]
     certain = formulas(results)["certain"]
     counted = {name: (share.count, share.total) for name, share in certain.items()}

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from swarmtwin.diagnosis.estimated_set import EstimatedSet
-from swarmtwin.diagnosis.estimation import Progress, estimate
+from swarmtwin.diagnosis.estimation import SHORT_STEP, Progress, estimate
 from swarmtwin.diagnosis.likelihood import MechanismClass, SessionLikelihood, loses_commands
 from swarmtwin.diagnosis.reference_errors import ReferenceErrors
 from swarmtwin.diagnosis.screening import Candidate, best_by_name, candidates, pairs
@@ -153,7 +153,7 @@ class CauseSearch:
         progress: Progress | None = None,
         reference: ReferenceErrors | None = None,
         screened: SessionLikelihood | None = None,
-        enough: float = 0.05,
+        enough: float = SHORT_STEP,
     ) -> None:
         self._in_part, self._enough = self, enough
         if screened is not None and screened is not model:

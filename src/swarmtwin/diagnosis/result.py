@@ -56,8 +56,10 @@ class Cause(EstimatedCause):
     """A named cause.
 
     Attributes:
-        confidence: posterior probability that it is there, summed over all sets of causes.
-        rivals: causes that share that probability with it, in sets without it.
+        confidence: probability that it is there: its posterior probability among the causes of the catalogue, summed
+            over all sets of these, less the share of what is named though it is in no catalogue
+            (`VerdictSettings.not_in_catalogue`).
+        rivals: causes that share its posterior probability, in sets without it.
         share_of_gap: of the squared error that can be explained at all, the part that this cause explains.
         evidence: one sentence that a person can read.
     """

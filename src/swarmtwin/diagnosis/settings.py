@@ -279,6 +279,8 @@ class VerdictSettings(StrictModel):
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
         nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
             cause to be named.
+        not_in_catalogue: of causes named, how many are not there after all: as counted on stand-ins, where half of what
+            is wrong is in no catalogue or acts by another law (see docs/results.md).
         gain_draws: bootstraps over runs for the gain's interval.
         windows_s: over which open loop is measured, in held-out runs that are as long.
         immaterial: share of an error by which it may rise on held-out runs where another one falls.
@@ -296,6 +298,7 @@ class VerdictSettings(StrictModel):
     most_left: Share = 0.04
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05
+    not_in_catalogue: Share = 0.11
     gain_draws: Count = 1000
     windows_s: tuple[Positive, ...] = (2.0, 5.0, 10.0, 30.0)
     immaterial: Share = 0.01

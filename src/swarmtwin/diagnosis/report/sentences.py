@@ -104,7 +104,7 @@ def _or_rival(cause: Cause) -> str:
     if not cause.rivals:
         return ""
     rivals = enumeration([cause_title(rival) for rival in cause.rivals], last=" or ")
-    return f" (probability {probability_words(cause.confidence)}; less likely, but not excluded: {rivals})"
+    return f" (confidence {share_words(cause.confidence)}; less likely, but not excluded: {rivals})"
 
 
 def verdict_words(diagnosis: DiagnosisResult) -> str:
@@ -286,7 +286,9 @@ def posterior_words(diagnosis: DiagnosisResult) -> str:
         )
     return (
         "These probabilities assume that the true causes are in the catalogue. A cause is named where the sets that "
-        "hold it, or one that looks the same, have most of the probability together (90 %, if not set otherwise)."
+        "hold it, or one that looks the same, have most of the probability together (90 %, if not set otherwise). "
+        "The confidence in a named cause is lower: in trials some of those named were not there, mostly since what was "
+        "wrong was in no catalogue."
     )
 
 

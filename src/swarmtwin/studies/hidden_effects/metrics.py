@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from swarmtwin.diagnosis.settings import VerdictSettings
 from swarmtwin.studies.hidden_effects.method_comparison import DIAGNOSIS, OTHERS, compared
 from swarmtwin.studies.hidden_effects.proportions import (
     CLEAR,
@@ -37,8 +38,8 @@ LIMIT_BINS = {
 HIDING = ("one", "two", "three")
 """Kinds of sessions that hide causes of the catalogue, which act as their mechanisms do."""
 
-CERTAIN = 0.99
-"""A cause that is named with a greater probability is told as all but certain."""
+CERTAIN = 0.99 * (1 - VerdictSettings().not_in_catalogue)
+"""A cause that is named with a greater confidence is all but certain, if the catalogue has what is wrong."""
 
 LEAST_SHARES = (0.0, 0.95, 0.98, 0.99, 0.995, 0.999)
 """Shares of what can be explained that causes might have to explain to be named; the first one as it is."""
@@ -74,8 +75,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
             not_named: no cause was named; not_named_of_alarmed: where something was said to be wrong.
             not_explained: it was not said that the catalogue explains it, though causes may be named for a part.
         not_told: of sessions with one, two or three effects, see `_not_told`.
-        certain: of causes named with more than 99 %, those that are there, by what the session hides: causes of the
-            catalogue, one that acts by another law, or `nothing` of the catalogue.
+        certain: of causes named that are all but certain (see `CERTAIN`), those that are there, by what the session
+            hides: causes of the catalogue, one that acts by another law, or `nothing` of the catalogue.
         clean: of sessions with nothing wrong
             accused: a cause was named; accused_of_other_vehicle: of another vehicle than was learned from.
             alarmed: something was said to be wrong, with or without a name.
@@ -86,7 +87,8 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         parameters: likewise for each single parameter, and in its own unit.
         covered, median_parameter_error_percent: over all that are said in the unit that they are hidden in; the others,
             in_another_unit, are counted (see `parameters_table`).
-        calibration_error: see `expected_calibration_error`.
+        calibration_error: see `expected_calibration_error`; and calibration_error_by_chance: what it would stay below
+            in 95 % of such studies if confidences were right.
         gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
             more: median shares of the squared error that the effects had brought, and `to_floor` of all squared error
             above that of the exact mean. Where exact means are not known, `beside_twin`: of the error above that of the
@@ -162,6 +164,7 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "median_parameter_error_percent": median(parameters.error_percent),
         "named_causes": len(confidences),
         "calibration_error": expected_calibration_error(confidences.confidence, confidences.true),
+        "calibration_error_by_chance": calibration_error_by_chance(confidences.confidence),
         "gain": _gains(hiding[in_rise_bin(hiding, CLEAR)]),
         "seconds": median_and_most(table.seconds),
         "learning_seconds": median_and_most(table.learning_seconds),
@@ -235,6 +238,17 @@ def expected_calibration_error(confidence: pd.Series, true: pd.Series, bins: int
     which = np.minimum((said * bins).astype(int), bins - 1)
     away = np.abs(np.bincount(which, said, bins) - np.bincount(which, right, bins))
     return float(away.sum() / len(said))
+
+
+def calibration_error_by_chance(confidence: pd.Series, draws: int = 1000, level: float = 0.95) -> float | None:
+    """Return what the calibration error of so many causes stays below if each is there as often as its confidence says.
+
+    That is the quantile `level` over `draws` of which of them are there; None of no cause.
+    """
+    if not len(confidence):
+        return None
+    there = np.random.default_rng(0).random((draws, len(confidence))) < confidence.to_numpy(float)
+    return float(np.quantile([expected_calibration_error(confidence, pd.Series(one)) for one in there], level))
 
 
 def _silence(table: pd.DataFrame) -> Proportions:

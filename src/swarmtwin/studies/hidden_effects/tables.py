@@ -173,7 +173,16 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
             lambda own: _percent(own["median_parameter_error_percent"], 1.0),
         ),
         ("confidence: expected calibration error", "≤ 0.03", lambda own: _number(own["calibration_error"])),
-        ("named with more than 99 %: causes that are there", "", lambda own: _counted(own["certain"]["catalogue"])),
+        (
+            "  below that in 95 % by chance, if confidences are right",
+            "",
+            lambda own: _number(own["calibration_error_by_chance"]),
+        ),
+        (
+            "all but certain in the catalogue: causes that are there",
+            "",
+            lambda own: _counted(own["certain"]["catalogue"]),
+        ),
         ("  where one acts by another law", "", lambda own: _counted(own["certain"]["another_law"])),
         ("  where nothing of the catalogue is there", "", lambda own: _counted(own["certain"]["nothing"])),
         ("gain, of what the true model gains: median", "≥ 97 %", lambda own: _percent(own["gain"]["diagnosis"])),
