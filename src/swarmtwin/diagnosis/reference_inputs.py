@@ -11,10 +11,11 @@ from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.learning.device import Device, torch_device
-from swarmtwin.recordings.recording import Recording
+from swarmtwin.recordings.recognition import marks, recognised, row_hashes
+from swarmtwin.recordings.recording import Recording, Track
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.evaluation import load_simulation
-from swarmtwin.transitions import from_recording
+from swarmtwin.transitions import Transitions, from_recording
 
 
 def reference_for(
@@ -29,7 +30,7 @@ def reference_for(
     device: Device,
     seed: int,
 ) -> tuple[Reference, tuple[str, ...]]:
-    """Return what to compare a measured recording with, and the digests of the tracks that it was learned from.
+    """Return what to compare a measured recording with, and the marks of the tracks that it was learned from.
 
     Args:
         measured: the recording to diagnose.
@@ -50,7 +51,7 @@ def reference_for(
     enough_measured(measured, settings.reference)
     if folder is None:
         assert reference is not None
-        learned = tuple(track.digest() for track in reference.tracks)
+        learned = _marks_of(reference)
         _refuse_overlap(learned, measured, name)
         transitions, _ = from_recording(reference)
         return Reference.learn(transitions, seed, situation, settings), learned
@@ -72,7 +73,7 @@ def reference_for(
                 "real data, or add reference=DIR, a recording in which nothing is wrong"
             )
         return Reference.of_simulation(dynamics, evidence, seed, settings), provenance.learned
-    _refuse_overlap(tuple(track.digest() for track in reference.tracks), measured, name)
+    _refuse_overlap(_marks_of(reference), measured, name)
     transitions, _ = from_recording(_not_fitted(reference, folder, provenance))
     return Reference.of_simulation(dynamics, transitions, seed, settings), provenance.learned
 
@@ -83,18 +84,37 @@ def _not_fitted(reference: Recording, folder: Path, provenance: Provenance) -> R
     Raises:
         UserError: nothing is left.
     """
-    learned = set(provenance.learned)
-    if not any(track.digest() in learned for track in reference.tracks):
-        return reference
-    evidence = load_evidence(folder)
-    chosen_by = {evidence.runs[run] for run in np.unique(evidence.run)} if evidence is not None else set()
-    part = reference.where(lambda track: track.run in chosen_by or track.digest() not in learned)
+    seen = recognised(reference.tracks, set(provenance.learned))
+    evidence = load_evidence(folder) if any(seen) else None
+    if evidence is not None:
+        chosen_by = _starts(evidence)
+        seen = [one and not _is_made_of(track, chosen_by) for one, track in zip(seen, reference.tracks, strict=True)]
+    part = reference.without(seen)
     return part if part.tracks else provenance.unseen_part(reference)
 
 
+def _starts(transitions: Transitions) -> np.ndarray:
+    """Return (N,) hashes of when, by which command and where transitions start."""
+    return row_hashes(transitions.time_s, transitions.command, transitions.pose)
+
+
+def _is_made_of(track: Track, starts: np.ndarray) -> bool:
+    """Return whether most of what a track measured starts as transitions do that are known by their hashes.
+
+    Names of runs do not tell that: copies are numbered anew, and runs of several recordings are called by these.
+    """
+    rows = np.column_stack([track.time_s, track.command, track.pose])
+    measured = row_hashes(rows[np.isfinite(rows).all(axis=1)])
+    return 2 * int(np.isin(measured, starts).sum()) > len(measured)
+
+
+def _marks_of(recording: Recording) -> tuple[str, ...]:
+    return tuple(mark for track in recording.tracks for mark in marks(track))
+
+
 def _refuse_overlap(learned: tuple[str, ...], measured: Recording, what: str) -> None:
-    known = set(learned)
-    if shared := sorted({track.run for track in measured.tracks if track.digest() in known}):
+    is_known = recognised(measured.tracks, set(learned))
+    if shared := sorted({track.run for track, known in zip(measured.tracks, is_known, strict=True) if known}):
         raise UserError(
             f"{len(shared)} measured runs, such as {shared[0]}, are also in {what}: what a simulation was learned from "
             "cannot show what it gets wrong; measure other runs"

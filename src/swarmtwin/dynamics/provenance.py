@@ -7,6 +7,7 @@ from pydantic import model_validator
 
 from swarmtwin.dynamics.model_folder import MODEL_FOLDER
 from swarmtwin.errors import UserError
+from swarmtwin.recordings.recognition import recognised
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import StrictModel
 from swarmtwin.transitions import GeneratorOrigin, Origin, Preparation, RecordingOrigin
@@ -36,7 +37,7 @@ class Provenance(RecordingOrigin):
 
     Attributes:
         runs: names of the runs in each split.
-        learned: digests of the tracks it was trained on or chosen by.
+        learned: marks of the tracks it was trained on or chosen by.
         recipe: how it was trained, all values known.
         seed: the seed chosen, best on the validation runs.
         seeds: what came of each.
@@ -97,13 +98,13 @@ class Provenance(RecordingOrigin):
     def unseen_part(self, recording: Recording) -> Recording:
         """Return what the model has not seen of a recording: not the tracks it was trained on or chosen by.
 
-        Tracks are known by what was measured, so that a copy, a part or another format of a recording is recognised.
+        Tracks are known by what was measured, so that a copy, a part or another format of a recording is recognised,
+        and of long runs however they are cut.
 
         Raises:
             UserError: nothing is left.
         """
-        learned = set(self.learned)
-        part = recording.where(lambda track: track.digest() not in learned)
+        part = recording.without(recognised(recording.tracks, set(self.learned)))
         if len(part.tracks) == len(recording.tracks):
             return recording
         if not part.tracks:

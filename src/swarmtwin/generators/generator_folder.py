@@ -26,7 +26,7 @@ class Lineage(RecordingOrigin):
     Attributes:
         fractions: how the recording was split.
         transitions: real ones it was trained on, and real ones its training was followed by.
-        learned: digests of the tracks it may have seen: train and validation.
+        learned: marks of the tracks it may have seen: train and validation.
         seed: of the training.
     """
 

@@ -1,7 +1,7 @@
 """What a recording is in memory: its header, and one track for each vehicle in each run."""
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -110,6 +110,11 @@ class Recording:
     def where(self, chosen: Callable[[Track], bool]) -> "Recording":
         """Return the part of the recording whose tracks are `chosen`; its digest stays that of the whole."""
         return replace(self, tracks=tuple(track for track in self.tracks if chosen(track)))
+
+    def without(self, left_out: Sequence[bool]) -> "Recording":
+        """Return the recording without some tracks, of each of which it is said whether it is left out, in order."""
+        kept = [track for track, is_out in zip(self.tracks, left_out, strict=True) if not is_out]
+        return replace(self, tracks=tuple(kept))
 
 
 def fault(file: Path, what: str, remedy: str, row: int | None = None, column: str | None = None) -> UserError:

@@ -21,6 +21,7 @@ from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import RefusedError, UserError
 from swarmtwin.policies.policy_folder import StoredPolicy, load_policy
 from swarmtwin.policies.rollout_comparison import draw_scenarios
+from swarmtwin.recordings.recognition import recognised
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, Seed, StrictModel
 from swarmtwin.simulation.evaluation import load_simulation
@@ -222,7 +223,7 @@ def _baseline_transitions(
     prepared = chosen or Path("artifacts/transitions") / robot.name
     if chosen or (prepared.is_dir() and load_preparation(prepared).digest == provenance.digest):
         transitions, preparation = prepared_transitions(prepared, robot)
-        if {track.digest() for track in judged.tracks} & set(preparation.learned):
+        if any(recognised(judged.tracks, set(preparation.learned))):
             raise UserError(f"baseline {prepared} holds runs that are judged on: add recording=... with another one")
         return transitions.part("train"), f"{prepared}"
     evidence = load_evidence(folder)

@@ -10,6 +10,7 @@ from pydantic import model_validator
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
+from swarmtwin.recordings.recognition import marks
 from swarmtwin.recordings.recording import Recording, fault
 from swarmtwin.robot import Arena, StrictModel
 from swarmtwin.transitions.extraction import Counts
@@ -86,7 +87,7 @@ class Preparation(RecordingOrigin):
         counts: what was kept and dropped, by reason.
         runs: names of the runs in each split; a run without a transition is in none.
         transitions: number of transitions in each split.
-        learned: digests of the tracks that a model trained on these transitions has seen: train and validation.
+        learned: marks of the tracks that a model trained on these transitions has seen: train and validation.
         warnings: what is unusual of the recording as a whole and may be meant; left out of the file where nothing is.
         origin: whether the transitions were measured, sampled from a generator, or are some of each.
         generator: where synthetic ones come from; null for real ones.
@@ -125,7 +126,7 @@ def describe(
         vehicles=recording.vehicles,
         runs=runs,
         transitions=counts_by_split(transitions),
-        learned=tuple(sorted(track.digest() for track in recording.tracks if track.run not in unseen)),
+        learned=tuple(sorted(mark for track in recording.tracks if track.run not in unseen for mark in marks(track))),
     )
 
 

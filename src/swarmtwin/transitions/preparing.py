@@ -13,6 +13,7 @@ import numpy as np
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.recordings.reading import read_in_parts
+from swarmtwin.recordings.recognition import marks
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.transitions.extraction import Counts, from_part
@@ -76,7 +77,7 @@ class _LaidAside:
         runs: names of the runs taken, in order.
         sizes: of each part, how many transitions each of its runs has.
         neighbours: the most of any part.
-        tracks: by digest, the run of each track that was taken.
+        tracks: marks, run and vehicle of each track that was taken.
     """
 
     aside: Path
@@ -87,7 +88,7 @@ class _LaidAside:
     runs: list[str] = field(default_factory=list)
     sizes: list[np.ndarray] = field(default_factory=list)
     neighbours: int = 0
-    tracks: list[tuple[str, str, str]] = field(default_factory=list)
+    tracks: list[tuple[tuple[str, ...], str, str]] = field(default_factory=list)
 
     def take(self, part: Recording) -> None:
         """Lay the transitions of the next part aside."""
@@ -102,7 +103,7 @@ class _LaidAside:
         self.runs += transitions.runs
         self.sizes.append(np.bincount(transitions.run, minlength=len(transitions.runs)))
         self.neighbours = max(self.neighbours, transitions.neighbours.shape[1])
-        self.tracks += [(track.digest(), track.run, track.vehicle) for track in part.tracks]
+        self.tracks += [(marks(track), track.run, track.vehicle) for track in part.tracks]
         self.files.append(self.aside / f"{len(self.files):06}.parquet")
         write_transitions(self.files[-1], transitions)
 
@@ -140,5 +141,5 @@ def _describe(
         vehicles=tuple(sorted({vehicle for *_, vehicle in parts.tracks})),
         runs=runs,
         transitions={part: int(sizes[own].sum()) for part, own in zip(SPLITS, of_split, strict=True)},
-        learned=tuple(sorted(digest for digest, run, _ in parts.tracks if run not in unseen)),
+        learned=tuple(sorted(mark for own, run, _ in parts.tracks if run not in unseen for mark in own)),
     )

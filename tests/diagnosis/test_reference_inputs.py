@@ -1,0 +1,56 @@
+"""Of a simulation's own recording what it was not fitted to counts, however its runs are called."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drives import drive, header_of
+from swarmtwin.diagnosis.reference_inputs import _not_fitted
+from swarmtwin.dynamics.model_folder import save_evidence
+from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
+from swarmtwin.errors import UserError
+from swarmtwin.recordings.joining import joined
+from swarmtwin.recordings.recording import Recording
+from swarmtwin.transitions import from_recording, split_by_run
+from swarmtwin.transitions.preparation import describe
+from swarmtwin.transitions.splitting import Fractions
+
+FRACTIONS = Fractions(train=0.6, validation=0.2, test=0.2)
+OUTCOME = SeedOutcome(seed=4, best_epoch=2, position_mm=3.2, orientation_deg=3.9, dead=None)
+
+
+@pytest.fixture
+def trained(robots, tmp_path):
+    """A recording of ten runs of one vehicle, where a simulation comes from that it taught, and that one's folder."""
+    tracks = tuple(drive(robots["mgr"], runs=10, vehicles=("1",)))
+    recording = Recording(robots["mgr"], header_of(robots["mgr"]), tracks, digest="monday")
+    transitions, counts = from_recording(recording)
+    split = split_by_run(transitions, FRACTIONS, 1)
+    preparation = describe(recording, "monday", split, counts, FRACTIONS, 1)
+    save_evidence(tmp_path, split.where(split.split != 0))
+    return recording, Provenance.of(preparation, {"name": "fast"}, 4, (OUTCOME,)), tmp_path
+
+
+def test_runs_that_it_was_only_chosen_by_count_however_they_are_called(robots, trained):
+    recording, provenance, folder = trained
+    counting = {*provenance.runs["validation"], *provenance.runs["test"]}
+    assert set(_not_fitted(recording, folder, provenance).runs) == counting
+    # a copy, its runs numbered anew, so that runs that were fitted to bear the names of those that were not
+    names = dict(zip(recording.runs, recording.runs[::-1], strict=True))
+    copies = tuple(dataclasses.replace(track, run=names[track.run]) for track in recording.tracks)
+    copy = dataclasses.replace(recording, tracks=copies)
+    assert set(_not_fitted(copy, folder, provenance).runs) == {names[run] for run in counting}
+    # beside another recording
+    moved = tuple(dataclasses.replace(track, pose=track.pose + np.array([1, 0, 0])) for track in recording.tracks)
+    both = joined({Path("one"): recording, Path("two"): dataclasses.replace(recording, tracks=moved, digest="tuesday")})
+    expected = {f"one_{run}" for run in counting} | {f"two_{run}" for run in recording.runs}
+    assert set(_not_fitted(both, folder, provenance).runs) == expected
+
+
+def test_a_recording_that_it_was_fitted_to_altogether_is_refused(trained):
+    recording, provenance, folder = trained
+    fitted = recording.where(lambda track: track.run in provenance.runs["train"])
+    with pytest.raises(UserError, match="trained on every run"):
+        _not_fitted(fitted, folder, provenance)
