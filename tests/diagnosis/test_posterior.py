@@ -208,6 +208,29 @@ def test_an_unsure_cause_at_an_end_does_not_keep_the_others_from_being_named(
     assert explanation(None, posterior).names == named
 
 
+def test_a_cause_that_does_nothing_without_one_that_is_left_out_is_not_named(robots, monkeypatch):
+    sets = {
+        "battery_sag": 50.0,
+        "battery_sag_and_gain_change": 57.0,
+        "battery_sag_and_gain_change_and_actuator_lag": 60.0,
+    }
+    posterior = posterior_of(**{names: (nats, 1) for names, nats in sets.items()})
+    lag = ("time_constant_s", robots["mgr"].period_s - 0.001, 0.01)
+
+    def explained_by(mechanisms, model, posterior, usual):
+        names = [one.name for one in mechanisms]
+        gain = ("gain", 0.9, 0.01) if "actuator_lag" in names else ("gain", 0.99, 0.01)  # it may as well be 1
+        known = {"battery_sag": SAG, "actuator_lag": lag, "gain_change": gain}
+        return explanation_of(robots["mgr"], {name: known[name] for name in names}, posterior)
+
+    start = explanation_of(
+        robots["mgr"], {"battery_sag": SAG, "gain_change": ("gain", 0.9, 0.01), "actuator_lag": lag}
+    ).best
+    monkeypatch.setattr(CausePosterior, "best", start)
+    monkeypatch.setattr("swarmtwin.diagnosis.explanation._explained_by", explained_by)
+    assert explanation(None, posterior).names == ("battery_sag",)
+
+
 @pytest.mark.parametrize(
     ("gained", "most", "verdict", "may_be_chance"),
     [

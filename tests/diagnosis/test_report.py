@@ -6,6 +6,8 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 from diagnosis_factories import (
     DELAY,
@@ -584,3 +586,12 @@ def test_in_a_browser_the_report_loads_without_errors_and_fits(tmp_path, browser
         assert page.errors == []
         assert page.elsewhere() == []
         assert not page.is_wider_than_the_window()
+
+
+def test_a_diagnosis_whose_residuals_lack_a_column_is_told_to_be_made_again(tmp_path):
+    save_findings(tmp_path, made_session(made_result(), moved_late))
+    file = tmp_path / "residuals.parquet"
+    table = pa.parquet.read_table(file)
+    pa.parquet.write_table(table.drop_columns(["held_out"]), file)
+    with pytest.raises(UserError, match=r"residuals.parquet: no transitions can be read .*diagnose again"):
+        SavedDiagnosis.read(tmp_path)

@@ -1,5 +1,6 @@
 """Settings: YAML and Python give the same object, every field has its sentence, and what is set decides."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -41,8 +42,8 @@ def test_an_unknown_setting_is_refused_with_the_near_miss():
         DiagnosisSettings.parse({"dependence": {"false_discovery_rate": 1.5}}, "here")
 
 
-@pytest.mark.parametrize(("name", "value"), [("prior", 0), ("prior", 1), ("named_from", 1)])
-def test_a_probability_that_has_no_odds_is_refused(name, value):
+@pytest.mark.parametrize(("name", "value"), [("prior", 0), ("prior", 1), ("named_from", 1), ("reported_sets", 1)])
+def test_a_probability_that_has_no_odds_and_too_few_sets_are_refused(name, value):
     with pytest.raises(UserError, match=rf"here: field 'search.{name}'"):
         DiagnosisSettings.parse({"search": {name: value}}, "here")
 
@@ -53,6 +54,18 @@ def test_settings_by_which_no_run_is_held_out_are_refused(robots):
     reference = Reference.learn(session.transitions, 1, settings=settings)
     with pytest.raises(UserError, match="held_out_every=50 holds out no run of the 40 that were measured: lower it"):
         HeldOutRuns(reference, session, None, session.transitions, 1)
+
+
+def test_runs_of_each_vehicle_are_held_out_where_vehicles_drive_in_turn(robots):
+    session = session_of(ExactBase(robots["mgr"]), np.random.default_rng(1), runs=40, steps=20)
+    vehicle = session.run % 4
+    in_turn = dataclasses.replace(session.transitions, vehicle=vehicle, vehicles=("1", "2", "3", "4"))
+    reference = Reference.learn(session.transitions, 1)
+    runs = HeldOutRuns(reference, dataclasses.replace(session, transitions=in_turn), None, in_turn, 1)
+    assert len(np.unique(session.run[runs.rows])) == 10
+    assert set(vehicle[runs.rows]) == {0, 1, 2, 3}
+    alone = HeldOutRuns(reference, session, None, session.transitions, 1)
+    np.testing.assert_array_equal(alone.rows, session.run % 4 == 3)
 
 
 def test_lost_commands_by_more_than_a_probability_are_refused(robots, monkeypatch):

@@ -238,15 +238,23 @@ def explanation(
         reference: what its own errors show likewise; None: nothing.
     """
     reference = reference or ReferenceErrors()
-    found = _explained_by(posterior.best.mechanisms, model, posterior, reference)
+    found = _by_telling(posterior.best.mechanisms, model, posterior, reference)
+    if found.at_an_end and found.sure and found.at_an_end.isdisjoint(found.sure):
+        kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name not in found.at_an_end]
+        without = _by_telling(kept, model, posterior, reference)
+        return without if without.names else found
+    return found
+
+
+def _by_telling(
+    mechanisms: Sequence[Mechanism], model: SessionLikelihood, posterior: CausePosterior, reference: ReferenceErrors
+) -> Explanation:
+    """Look at what causes leave, without those that may as well do nothing beside the others."""
+    found = _explained_by(mechanisms, model, posterior, reference)
     while len(found.telling) < len(found.best.names):
         kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name in found.telling]
         likelier = posterior.is_likelier_than_nothing([mechanism.name for mechanism in kept])
         found = _explained_by(kept if likelier else (), model, posterior, reference)
-    if found.at_an_end and found.sure and found.at_an_end.isdisjoint(found.sure):
-        kept = [mechanism for mechanism in found.best.mechanisms if mechanism.name not in found.at_an_end]
-        without = _explained_by(kept, model, posterior, reference)
-        return without if without.names else found
     return found
 
 

@@ -81,9 +81,9 @@ class HeldOutRuns:
 
     @property
     def rows(self) -> np.ndarray:
-        """Which transitions of the session, (N,), are theirs: those of every so many-th run."""
+        """Which transitions of the session, (N,), are theirs: those of every so many-th run of each vehicle."""
         every = self.reference.settings.verdict.held_out_every
-        theirs: np.ndarray = self.session.run % every == every - 1
+        theirs: np.ndarray = self.session.folds(every) == every - 1
         return theirs
 
     @cached_property

@@ -16,8 +16,10 @@ from swarmtwin.robot import DISPLACEMENT_COLUMNS
 from swarmtwin.simulation.open_loop import OpenLoop
 from swarmtwin.simulation.open_loop_storage import load_open_loop, save_open_loop
 from swarmtwin.transitions import Transitions, read_transitions, write_transitions
+from swarmtwin.transitions.storage import readable
 
 RESULT, RESIDUALS = "diagnosis.json", "residuals.parquet"
+PARTS = ("simulated", "residual_before", "residual_after")
 RUNS_BEFORE, RUNS_AFTER = "open_loop_before.parquet", "open_loop_after.parquet"
 
 
@@ -25,13 +27,11 @@ def save_findings(folder: Path, diagnosed: DiagnosedSession) -> None:
     """Write `diagnosis.json` and all else that a report is made of: transitions with their residuals, held-out runs."""
     write_text(folder / RESULT, diagnosed.result.model_dump_json(indent=1) + "\n")
     transitions = diagnosed.transitions
-    parts = {
-        "simulated": predict(diagnosed.simulation, transitions),
-        "residual_before": diagnosed.residual_before,
-        "residual_after": diagnosed.residual_after,
-    }
+    parts = (predict(diagnosed.simulation, transitions), diagnosed.residual_before, diagnosed.residual_after)
     columns = {
-        column: values for name, part in parts.items() for column, values in zip(_columns(name), part.T, strict=True)
+        column: values
+        for name, part in zip(PARTS, parts, strict=True)
+        for column, values in zip(_columns(name), part.T, strict=True)
     }
     write_transitions(folder / RESIDUALS, transitions, {"held_out": diagnosed.held_out, **columns})
     save_open_loop(folder / RUNS_BEFORE, diagnosed.runs_before, transitions.arena_mm)
@@ -70,14 +70,17 @@ class SavedDiagnosis:
             UserError: a file is missing or damaged.
         """
         transitions = read_transitions(folder / RESIDUALS, "diagnose again")
-        table = pd.read_parquet(folder / RESIDUALS)
+        with readable(folder / RESIDUALS, "diagnose again"):
+            table = pd.read_parquet(folder / RESIDUALS)
+            held_out = table["held_out"].to_numpy()
+            simulated, before, after = (table[_columns(part)].to_numpy() for part in PARTS)
         return cls(
             result=read_result(folder),
             transitions=transitions,
-            held_out=table["held_out"].to_numpy(),
-            simulated=table[_columns("simulated")].to_numpy(),
-            residual_before=table[_columns("residual_before")].to_numpy(),
-            residual_after=table[_columns("residual_after")].to_numpy(),
+            held_out=held_out,
+            simulated=simulated,
+            residual_before=before,
+            residual_after=after,
             runs_before=tuple(load_open_loop(folder / RUNS_BEFORE)[0]),
             runs_after=tuple(load_open_loop(folder / RUNS_AFTER)[0]),
         )

@@ -211,7 +211,7 @@ class SearchSettings(StrictModel):
         named_from: probability from which on a cause counts as sure.
         reported_from: probability from which on a cause leads: it is named where it or its rivals are sure.
         rival_from: probability that a cause must hold in the place of another one to be its rival.
-        reported_sets: sets of causes whose probability is kept in the result, at most.
+        reported_sets: sets of causes whose probability is kept in the result, at most; that of no cause is one of them.
     """
 
     prior: Probability = 0.05
@@ -232,7 +232,7 @@ class SearchSettings(StrictModel):
     named_from: Probability = 0.9
     reported_from: Share = 0.5
     rival_from: Share = 0.02
-    reported_sets: Count = 8
+    reported_sets: Annotated[int, Field(ge=2)] = 8
 
 
 class MotionNoiseSettings(StrictModel):
@@ -262,7 +262,8 @@ class VerdictSettings(StrictModel):
     """When causes stand, and when they explain all.
 
     Attributes:
-        held_out_every: of so many runs the last is held out: nothing is fitted to it, gains are measured on it.
+        held_out_every: of so many runs of a vehicle the last is held out: nothing is fitted to it, gains are measured
+            on it.
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
         nameless_nats: left over by the causes from which on none of them is named: where nothing is left, regressions
