@@ -6,7 +6,7 @@ from swarmtwin.studies.hidden_effects.held_out_gain import HeldOutGain
 from swarmtwin.studies.hidden_effects.results import Result
 
 
-def result(kind, hidden, named=(), rise=20.0, verdict=None, rivals=(), confidence=1.0, **about):
+def result(kind, hidden, named=(), rise=20.0, verdict=None, rivals=(), posterior=1.0, **about):
     """A planted result; what is hidden and what is named in one word each."""
     names = hidden.split("+") if kind != "clean" else []
     case = Case(
@@ -18,7 +18,7 @@ def result(kind, hidden, named=(), rise=20.0, verdict=None, rivals=(), confidenc
         variety=hidden if kind == "clean" else "",
         seed=about.pop("seed", 1),
     )
-    said = {"parameters": {}, "confidence": confidence, "share_of_gap": 1.0, "evidence": ""}
+    said = {"parameters": {}, "posterior": posterior, "confidence": posterior, "share_of_gap": 1.0, "evidence": ""}
     causes = tuple(Cause(name=name, rivals=rivals, **said) for name in named)
     usual = {
         "effects": tuple({"name": name} for name in names),

@@ -22,6 +22,7 @@ from documentation import DOCS, PAGES, README, REPOSITORY, blocks, commands
 from swarmtwin.commands.app import _spelled_out
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.configuration import config_files, config_folder, let_hydra_find_plugins
+from swarmtwin.diagnosis.settings import NAMED_IN_TRIALS
 from swarmtwin.robot import Robot
 from swarmtwin.standin.physics import fabricate
 from swarmtwin.standin.rigid_body.car import Car
@@ -253,6 +254,12 @@ def test_the_table_of_another_seed_is_what_the_study_counted():
     assert cells_of_results("calibration error")[:2] == [f"{own['calibration_error']:.3f}" for own in new]
     by_chance = cells_of_results("the same, below that in 95 % of such studies if confidences are right")
     assert by_chance[:2] == [f"{own['calibration_error_by_chance']:.3f}" for own in new]
+    scores = {
+        "mean squared error of confidences": "brier",
+        "the same, of posterior probabilities alone": "brier_of_posterior",
+    }
+    for row, key in scores.items():
+        assert cells_of_results(row)[:2] == [f"{own[key]:.3f}" for own in new], row
 
 
 def test_the_table_of_another_vehicle_is_what_the_study_counted():
@@ -278,6 +285,16 @@ def test_the_table_of_another_vehicle_is_what_the_study_counted():
     clean = [[own["clean"]["accused_of_other_vehicle"] for own in of_page] for of_page in families]
     expected = [f"{sum(one['count'] for one in own)} of {sum(one['total'] for one in own)}" for own in clean]
     assert cells_of_results("nothing wrong with another vehicle: a cause named") == expected
+
+
+def test_how_often_names_are_right_is_what_was_judged():
+    judged = (DOCS / "results" / "judged" / "hidden_effects.jsonl").read_text().splitlines()
+    counted = {}
+    for one in map(Result.model_validate_json, judged):
+        for cause in one.causes:
+            there, named = counted.get(cause.name, (0, 0))
+            counted[cause.name] = (there + (cause.name in one.true_causes), named + 1)
+    assert counted == NAMED_IN_TRIALS
 
 
 def test_what_is_named_of_another_vehicle_is_what_was_judged():

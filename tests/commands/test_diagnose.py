@@ -133,8 +133,9 @@ def test_the_result_keeps_how_probable_the_leading_sets_are(diagnosed):
     assert sets[()].log_evidence == 0
     assert sum(one.probability for one in diagnosis.posterior) <= 1 + 1e-5
     together = sum(one.probability for one in diagnosis.posterior if "battery_sag" in one.causes)
-    named = 1 - VerdictSettings().not_in_catalogue
-    assert named * together == pytest.approx(diagnosis.causes[0].confidence, abs=1e-3)
+    assert together == pytest.approx(diagnosis.causes[0].posterior, abs=1e-3)
+    told = VerdictSettings().confidence("battery_sag", diagnosis.causes[0].posterior)
+    assert diagnosis.causes[0].confidence == pytest.approx(told, abs=1e-5)
     limits = {limit.cause: limit for limit in diagnosis.detection_limits}
     assert {"battery_sag", "command_delay", "command_loss", "noise_change", "dead_band"} <= limits.keys()
     assert limits["battery_sag"].value < diagnosis.causes[0].parameters["loss"].value

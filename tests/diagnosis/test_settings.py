@@ -13,8 +13,9 @@ from swarmtwin.diagnosis.dependence import StandardisedResidual, dependence_test
 from swarmtwin.diagnosis.extension import HeldOutRuns
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.reference import Reference
+from swarmtwin.diagnosis.result import Cause
 from swarmtwin.diagnosis.screening import sought_kinds
-from swarmtwin.diagnosis.settings import DependenceSettings, DiagnosisSettings
+from swarmtwin.diagnosis.settings import DependenceSettings, DiagnosisSettings, VerdictSettings
 from swarmtwin.errors import UserError
 from swarmtwin.simulation.mechanism import Parameter, mechanism_class
 
@@ -107,3 +108,20 @@ def test_a_dependence_that_is_too_small_for_the_settings_does_not_matter(robots)
 def test_candidates_of_which_there_is_none_are_refused(name):
     with pytest.raises(UserError, match=rf"here: field 'flexible.{name}'.*at least 1 item"):
         DiagnosisSettings.parse({"flexible": {name: []}}, "here")
+
+
+def test_a_cause_is_as_sure_as_names_like_it_were_right():
+    verdict = VerdictSettings(named_in_trials={"gain_change": (5, 10), "marker_yaw": (45, 50)}, trials_prior=10)
+    of_all = 50 / 60
+    assert verdict.confidence("gain_change", 1.0) == pytest.approx((5 + 10 * of_all) / 20)
+    assert verdict.confidence("marker_yaw", 0.5) == pytest.approx(0.5 * (45 + 10 * of_all) / 60)
+    assert verdict.confidence("of_somebodys_own", 0.8) == pytest.approx(0.8 * of_all)
+    assert VerdictSettings(named_in_trials={}).confidence("gain_change", 0.8) == 0.8
+    with pytest.raises(UserError, match=r"here: field 'verdict.named_in_trials.gain_change'.*cannot have been there"):
+        DiagnosisSettings.parse({"verdict": {"named_in_trials": {"gain_change": [3, 2]}}}, "here")
+
+
+def test_a_cause_of_an_earlier_version_has_the_probability_that_was_told():
+    told = {"name": "marker_yaw", "parameters": {}, "confidence": 0.9, "rivals": [], "share_of_gap": 1, "evidence": ""}
+    assert Cause.model_validate(told).posterior == Cause.model_validate(told).confidence == 0.9
+    assert Cause.model_validate(told | {"posterior": 1}).posterior == 1.0

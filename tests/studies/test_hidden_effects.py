@@ -11,6 +11,7 @@ from scipy import stats
 from case_results import result
 from exact_model import conditions_of
 from swarmtwin.diagnosis.result import DetectionLimit, Estimate
+from swarmtwin.diagnosis.settings import VerdictSettings
 from swarmtwin.studies.hidden_effects.detection_plots import confusion
 from swarmtwin.studies.hidden_effects.held_out_gain import Displacements, HeldOutGain, held_out_gain
 from swarmtwin.studies.hidden_effects.metrics import calibration_error_by_chance, expected_calibration_error, summarise
@@ -106,10 +107,15 @@ def test_confidences_that_are_right_as_often_as_they_say_have_no_calibration_err
     assert both == pytest.approx(0.15)
     assert expected_calibration_error(pd.Series(dtype=float), pd.Series(dtype=bool)) is None
     results = [
-        *[result("one", "gain_change", ["gain_change"], confidence=0.9)] * 6,
-        *[result("outside", "whirl", ["lens_distortion"], confidence=0.9)] * 4,
+        *[result("one", "gain_change", ["gain_change"], posterior=0.9)] * 6,
+        *[result("outside", "whirl", ["lens_distortion"], posterior=0.9)] * 4,
     ]
-    assert formulas(results)["calibration_error"] == pytest.approx(0.3)
+    gain, lens = (VerdictSettings().confidence(name, 0.9) for name in ("gain_change", "lens_distortion"))
+    assert 0.6 < gain < 0.7 < lens < 0.8
+    counted = formulas(results)
+    assert counted["calibration_error"] == pytest.approx(0.6 * (1 - gain) + 0.4 * lens)
+    assert counted["brier"] == pytest.approx(0.6 * (1 - gain) ** 2 + 0.4 * lens**2)
+    assert counted["brier_of_posterior"] == pytest.approx(0.6 * 0.1**2 + 0.4 * 0.9**2)
 
 
 def test_a_calibration_error_is_shown_beside_what_chance_makes_it():
@@ -118,10 +124,12 @@ def test_a_calibration_error_is_shown_beside_what_chance_makes_it():
     assert calibration_error_by_chance(of_a_hundred) == pytest.approx(0.06, abs=0.011)
     assert calibration_error_by_chance(all_certain) == 0.0
     assert calibration_error_by_chance(pd.Series(dtype=float)) is None
-    results = [result("one", "gain_change", ["gain_change"], confidence=0.9)] * 100
+    mixed = pd.Series([0.9, 0.3, 0.6] * 30)
+    assert calibration_error_by_chance(mixed) == calibration_error_by_chance(mixed[::-1])
+    results = [result("one", "marker_offset", ["marker_offset"])] * 100
     (marks, *_) = study_tables(summarise(results))
     (row,) = (one for one in marks.rows if "by chance" in one[0])
-    assert float(row[1]) == pytest.approx(0.06, abs=0.011)
+    assert float(row[1]) == pytest.approx(2 * np.sqrt(0.961 * 0.039 / 100), abs=0.01)
 
 
 def test_the_most_memory_of_a_session_forgets_that_of_the_one_before():
@@ -211,10 +219,10 @@ def test_who_would_be_named_if_causes_had_to_explain_more_is_counted():
 
 def test_what_is_named_as_certain_is_counted_by_what_its_session_hides():
     results = [
-        result("one", "dead_band", ["dead_band", "saturation"], confidence=0.885),
-        result("one", "dead_band", ["saturation"], confidence=0.8),
-        result("outside", "wobble", ["dead_band"], confidence=0.89),
-        result("clean", "", ["dead_band"], confidence=0.89),
+        result("one", "dead_band", ["dead_band", "saturation"], posterior=0.995),
+        result("one", "dead_band", ["saturation"], posterior=0.9),
+        result("outside", "wobble", ["dead_band"], posterior=1.0),
+        result("clean", "", ["dead_band"], posterior=1.0),
     ]
     certain = formulas(results)["certain"]
     counted = {name: (share.count, share.total) for name, share in certain.items()}

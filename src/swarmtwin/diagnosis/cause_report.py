@@ -11,6 +11,7 @@ from swarmtwin.diagnosis.explanation import Explanation
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.motion_noise_change import MotionNoiseChange
 from swarmtwin.diagnosis.result import ENDS, Cause, CauseSet, Estimate, EstimatedCause
+from swarmtwin.diagnosis.settings import VerdictSettings
 from swarmtwin.simulation.mechanism import Mechanism
 
 
@@ -26,7 +27,7 @@ def likeliest_causes(explained: Explanation, rng: np.random.Generator) -> tuple[
 def reported_causes(explained: Explanation, likeliest: Sequence[EstimatedCause]) -> tuple[Cause, ...]:
     """Return those of the likeliest causes that stand, by share of the gap, and noise that changed."""
     posterior, settings = explained.posterior, explained.model.settings.search
-    in_catalogue = 1 - explained.model.settings.verdict.not_in_catalogue
+    verdict = explained.model.settings.verdict
     nats, transitions = _missed_nats(explained)
     total = sum(max(one, 1e-9) for one in nats.values())
     causes = []
@@ -39,14 +40,15 @@ def reported_causes(explained: Explanation, likeliest: Sequence[EstimatedCause])
                 name=name,
                 parameters=estimated[name].parameters,
                 form=estimated[name].form,
-                confidence=in_catalogue * posterior.probability(name),
+                posterior=posterior.probability(name),
+                confidence=verdict.confidence(name, posterior.probability(name)),
                 rivals=rivals,
                 share_of_gap=float(np.clip(share, 0.0, 1.0)),
                 evidence=_evidence(explained, name, nats[name], transitions, rivals),
             )
         )
     if explained.names_motion_noise:
-        causes.append(_noise_cause(explained.motion_noise, in_catalogue, 0.0 if causes else 1.0))
+        causes.append(_noise_cause(explained.motion_noise, verdict, 0.0 if causes else 1.0))
     return tuple(sorted(causes, key=lambda cause: -cause.share_of_gap))
 
 
@@ -138,11 +140,12 @@ def _clock_samples(model: SessionLikelihood, mechanism: Mechanism, rng: np.rando
     return {name: np.array(values) for name, values in samples.items()}
 
 
-def _noise_cause(noise: MotionNoiseChange, in_catalogue: float, share: float) -> Cause:
+def _noise_cause(noise: MotionNoiseChange, verdict: VerdictSettings, share: float) -> Cause:
     return Cause(
         name="noise_change",
         parameters={"factor": Estimate(value=noise.factor, low=noise.low, high=noise.high, unit="")},
-        confidence=in_catalogue * noise.probability,
+        posterior=noise.probability,
+        confidence=verdict.confidence("noise_change", noise.probability),
         rivals=(),
         share_of_gap=share,
         evidence=f"the random part of the motion is {noise.factor:.2f} times the reference's, its mean as it was; the "

@@ -56,18 +56,27 @@ class Cause(EstimatedCause):
     """A named cause.
 
     Attributes:
-        confidence: probability that it is there: its posterior probability among the causes of the catalogue, summed
-            over all sets of these, less the share of what is named though it is in no catalogue
-            (`VerdictSettings.not_in_catalogue`).
-        rivals: causes that share its posterior probability, in sets without it.
+        posterior: probability that it is there if what is wrong is in the catalogue, summed over all sets of causes.
+        confidence: probability that it is there: `posterior` times how often what is named so is right
+            (`VerdictSettings.confidence`). In files of earlier versions the posterior probability.
+        rivals: causes that share `posterior` with it, in sets without it.
         share_of_gap: of the squared error that can be explained at all, the part that this cause explains.
         evidence: one sentence that a person can read.
     """
 
+    posterior: Share
     confidence: Share
     rivals: tuple[str, ...]
     share_of_gap: Share
     evidence: str
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_earlier_versions(cls, content: Any) -> Any:
+        """Take the one probability that was told for the posterior."""
+        if isinstance(content, Mapping) and "confidence" in content:
+            return {"posterior": content["confidence"], **content}
+        return content
 
 
 class CauseSet(StrictModel):

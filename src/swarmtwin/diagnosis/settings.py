@@ -1,13 +1,13 @@
 """What can be set of a diagnosis: thresholds, each with its default and what it decides.
 
 The defaults stand in `conf/diagnosis/default.yaml` as well; a test compares both. They were chosen on stand-ins, in
-sessions other than the 496 that docs/results.md reports on; its unruly ones were judged before
-`least_nats_a_transition` and `least_tails_change_a_loss` were set.
+sessions other than the 496 that docs/results.md reports on, but for `named_in_trials`, which was counted there; its
+unruly ones were judged before `least_nats_a_transition` and `least_tails_change_a_loss` were set.
 """
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from swarmtwin.robot import Positive, StrictModel
 
@@ -258,6 +258,39 @@ class MotionNoiseSettings(StrictModel):
     changed_spread: Positive = 0.7
 
 
+def _of_those_named(counts: tuple[int, int]) -> tuple[int, int]:
+    if counts[0] > counts[1]:
+        raise ValueError(f"a cause that was named {counts[1]} times cannot have been there in {counts[0]} of these")
+    return counts
+
+
+Named = Annotated[tuple[Annotated[int, Field(ge=0)], Count], AfterValidator(_of_those_named)]
+"""How often a cause was there, and how often it was named."""
+
+NAMED_IN_TRIALS: dict[str, tuple[int, int]] = {
+    "actuator_asymmetry": (7, 8),
+    "actuator_lag": (18, 20),
+    "backlash": (10, 11),
+    "battery_sag": (16, 17),
+    "camera_scale": (16, 18),
+    "command_delay": (8, 11),
+    "command_loss": (17, 18),
+    "dead_band": (21, 29),
+    "gain_change": (11, 16),
+    "lens_distortion": (14, 16),
+    "marker_offset": (18, 18),
+    "marker_yaw": (16, 16),
+    "neighbour_interaction": (7, 7),
+    "noise_change": (9, 11),
+    "saturation": (21, 23),
+    "steady_drift": (14, 14),
+    "surface_patch": (17, 19),
+    "timing_jitter": (13, 13),
+    "wall_effect": (20, 21),
+}
+"""Of the causes named in the 496 sessions of docs/results.md, how many were there, and how many were named."""
+
+
 class VerdictSettings(StrictModel):
     """When causes stand, and when they explain all.
 
@@ -280,8 +313,9 @@ class VerdictSettings(StrictModel):
         most_lasting: likewise, of that in which errors follow each other: another form seldom lasts.
         nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
             cause to be named.
-        not_in_catalogue: of causes named, how many are not there after all: as counted on stand-ins, where half of what
-            is wrong is in no catalogue or acts by another law (see docs/results.md).
+        named_in_trials: for each cause, in how many sessions of stand-ins it was there, of those in which it was named,
+            where half of what is wrong is in no catalogue or acts by another law (see docs/results.md).
+        trials_prior: named causes that the share of all of them counts for, against those of one cause.
         gain_draws: bootstraps over runs for the gain's interval.
         windows_s: over which open loop is measured, in held-out runs that are as long.
         immaterial: share of an error by which it may rise on held-out runs where another one falls.
@@ -299,10 +333,24 @@ class VerdictSettings(StrictModel):
     most_left: Share = 0.04
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05
-    not_in_catalogue: Share = 0.11
+    named_in_trials: dict[str, Named] = Field(default_factory=lambda: dict(NAMED_IN_TRIALS))
+    trials_prior: Positive = 10.0
     gain_draws: Count = 1000
     windows_s: tuple[Positive, ...] = (2.0, 5.0, 10.0, 30.0)
     immaterial: Share = 0.01
+
+    def confidence(self, cause: str, posterior: float) -> float:
+        """Return how probable it is that a cause is there that has a posterior probability among the catalogue's.
+
+        What is in no catalogue is taken for one of its causes at times, for some of them more often than for others:
+        the posterior is multiplied by the share of names that were right in trials, which is the mean of a beta
+        distribution whose prior is the share of all names.
+        """
+        if not self.named_in_trials:
+            return posterior
+        right, named = (sum(counts) for counts in zip(*self.named_in_trials.values(), strict=True))
+        own_right, own_named = self.named_in_trials.get(cause, (0.0, 0.0))
+        return posterior * (own_right + self.trials_prior * right / named) / (own_named + self.trials_prior)
 
 
 class NextRecordingSettings(StrictModel):

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from swarmtwin.diagnosis.settings import VerdictSettings
 from swarmtwin.studies.hidden_effects.method_comparison import DIAGNOSIS, OTHERS, compared
 from swarmtwin.studies.hidden_effects.proportions import (
     CLEAR,
@@ -38,8 +37,8 @@ LIMIT_BINS = {
 HIDING = ("one", "two", "three")
 """Kinds of sessions that hide causes of the catalogue, which act as their mechanisms do."""
 
-CERTAIN = 0.99 * (1 - VerdictSettings().not_in_catalogue)
-"""A cause that is named with a greater confidence is all but certain, if the catalogue has what is wrong."""
+CERTAIN = 0.99
+"""A cause that is named with a greater posterior probability is all but certain, if the catalogue has what is wrong."""
 
 LEAST_SHARES = (0.0, 0.95, 0.98, 0.99, 0.995, 0.999)
 """Shares of what can be explained that causes might have to explain to be named; the first one as it is."""
@@ -87,6 +86,7 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         parameters: likewise for each single parameter, and in its own unit.
         covered, median_parameter_error_percent: over all that are said in the unit that they are hidden in; the others,
             in_another_unit, are counted (see `parameters_table`).
+        brier: see `brier_score`, of confidences, and brier_of_posterior: of the posterior probabilities alone.
         calibration_error: see `expected_calibration_error`; and calibration_error_by_chance: what it would stay below
             in 95 % of such studies if confidences were right.
         gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
@@ -131,7 +131,7 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         table[table.kind == kind] for kind in ("one", "misspecified", "outside", "clean")
     )
     hiding = table[table.kind.isin(HIDING)]
-    certain = confidences[confidences.confidence > CERTAIN]
+    certain = confidences[confidences.posterior > CERTAIN]
     return {
         "cases": len(table),
         "failed": Proportion.of(table.verdict == "failed"),
@@ -165,6 +165,8 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "named_causes": len(confidences),
         "calibration_error": expected_calibration_error(confidences.confidence, confidences.true),
         "calibration_error_by_chance": calibration_error_by_chance(confidences.confidence),
+        "brier": brier_score(confidences.confidence, confidences.true),
+        "brier_of_posterior": brier_score(confidences.posterior, confidences.true),
         "gain": _gains(hiding[in_rise_bin(hiding, CLEAR)]),
         "seconds": median_and_most(table.seconds),
         "learning_seconds": median_and_most(table.learning_seconds),
@@ -240,15 +242,21 @@ def expected_calibration_error(confidence: pd.Series, true: pd.Series, bins: int
     return float(away.sum() / len(said))
 
 
-def calibration_error_by_chance(confidence: pd.Series, draws: int = 1000, level: float = 0.95) -> float | None:
+def brier_score(probability: pd.Series, true: pd.Series) -> float | None:
+    """Return the mean squared error of what causes were named with (Brier, 1950): the less, the better; 0 at best."""
+    return float(((probability.astype(float) - true.astype(float)) ** 2).mean()) if len(probability) else None
+
+
+def calibration_error_by_chance(confidence: pd.Series, draws: int = 4000, level: float = 0.95) -> float | None:
     """Return what the calibration error of so many causes stays below if each is there as often as its confidence says.
 
     That is the quantile `level` over `draws` of which of them are there; None of no cause.
     """
     if not len(confidence):
         return None
-    there = np.random.default_rng(0).random((draws, len(confidence))) < confidence.to_numpy(float)
-    return float(np.quantile([expected_calibration_error(confidence, pd.Series(one)) for one in there], level))
+    told = confidence.sort_values()
+    there = np.random.default_rng(0).random((draws, len(told))) < told.to_numpy(float)
+    return float(np.quantile([expected_calibration_error(told, pd.Series(one)) for one in there], level))
 
 
 def _silence(table: pd.DataFrame) -> Proportions:

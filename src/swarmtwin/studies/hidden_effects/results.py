@@ -11,6 +11,7 @@ import pandas as pd
 from pydantic import Field
 
 from swarmtwin.diagnosis.result import Cause, Estimate, Verdict
+from swarmtwin.diagnosis.settings import VerdictSettings
 from swarmtwin.geometry import wrap_angle
 from swarmtwin.robot import StrictModel
 from swarmtwin.studies.hidden_effects.cases import Case
@@ -310,21 +311,24 @@ def _size(name: str, true: Mapping[str, float]) -> float:
 
 
 def confidences_table(results: Sequence[Result]) -> pd.DataFrame:
-    """Return one row a cause that was named: how sure the diagnosis was of it, `confidence`, and whether it is `true`.
+    """Return one row a cause that was named: how sure the diagnosis was of it, and whether it is `true`.
 
-    `family` and `kind` are of its session.
+    `posterior` is its probability among those of the catalogue, `confidence` what the diagnosis makes of that now,
+    whenever the session was judged. `family` and `kind` are of its session.
     """
+    told = VerdictSettings()
     rows = [
         {
             "family": result.case.family,
             "kind": result.case.kind,
-            "confidence": cause.confidence,
+            "posterior": cause.posterior,
+            "confidence": told.confidence(cause.name, cause.posterior),
             "true": cause.name in (*result.case.true_names, *_of_the_unit(result)),
         }
         for result in results
         for cause in result.causes
     ]
-    return pd.DataFrame(rows, columns=["family", "kind", "confidence", "true"])
+    return pd.DataFrame(rows, columns=["family", "kind", "posterior", "confidence", "true"])
 
 
 def filled(result: Result | None, other: Result) -> Result:

@@ -178,6 +178,8 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
             "",
             lambda own: _number(own["calibration_error_by_chance"]),
         ),
+        ("  mean squared error (Brier)", "", lambda own: _number(own["brier"])),
+        ("  likewise, of posterior probabilities alone", "", lambda own: _number(own["brier_of_posterior"])),
         (
             "all but certain in the catalogue: causes that are there",
             "",
