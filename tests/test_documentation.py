@@ -255,11 +255,29 @@ def test_the_table_of_another_seed_is_what_the_study_counted():
     by_chance = cells_of_results("the same, below that in 95 % of such studies if confidences are right")
     assert by_chance[:2] == [f"{own['calibration_error_by_chance']:.3f}" for own in new]
     scores = {
+        "calibration error of posterior probabilities alone": "calibration_error_of_posterior",
         "mean squared error of confidences": "brier",
-        "the same, of posterior probabilities alone": "brier_of_posterior",
+        "mean squared error of posterior probabilities alone": "brier_of_posterior",
     }
     for row, key in scores.items():
         assert cells_of_results(row)[:2] == [f"{own[key]:.3f}" for own in new], row
+
+
+def test_how_sure_names_are_is_what_the_study_counted():
+    text = " ".join((DOCS / "results.md").read_text().split())
+    told = {
+        "confidences miss that by {calibration_error:.3f}": "hidden_effects",
+        "their confidences are {mean_confidence:.0%}": "confirmation",
+        "confidences, of {mean_confidence:.0%}": "another_vehicle",
+        "(they miss by {calibration_error:.3f}": "another_vehicle",
+        "by less than {calibration_error_by_chance:.3f}": "another_vehicle",
+        "Posterior probabilities miss by {calibration_error_of_posterior:.3f}": "another_vehicle",
+    }
+    for said, page in told.items():
+        first, second = counted_of_the_diagnosis(page=page).values()
+        number = said[said.index("{") :]
+        both = f"{said.format(**first)} and {number.format(**second)}".replace("% and", "and").replace("%", " %")
+        assert both in text, both
 
 
 def test_the_table_of_another_vehicle_is_what_the_study_counted():

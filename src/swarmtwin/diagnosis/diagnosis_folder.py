@@ -11,7 +11,7 @@ from swarmtwin.diagnosis.result import DiagnosedSession
 from swarmtwin.diagnosis.saved_diagnosis import save_findings
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
 from swarmtwin.recordings.blocks import run_of
-from swarmtwin.recordings.recognition import marks
+from swarmtwin.recordings.recognition import known_by
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation_folder import save_extended
 
@@ -30,7 +30,7 @@ def extension_provenance(
     transitions, held_out = diagnosed.transitions, diagnosed.held_out
     names = [{transitions.runs[index] for index in np.unique(transitions.run[mask])} for mask in (~held_out, held_out)]
     seen = names[0] | {run_of(name) for name in names[0]}
-    fitted = [mark for track in measured.tracks if track.run in seen for mark in marks(track)]
+    fitted = known_by(track for track in measured.tracks if track.run in seen)
     gain = diagnosed.result.gain
     outcome = SeedOutcome(
         seed=seed,

@@ -81,7 +81,7 @@ class HeldOutRuns:
 
     @property
     def rows(self) -> np.ndarray:
-        """Which transitions of the session, (N,), are theirs: those of every so many-th run of each vehicle."""
+        """Which transitions of the session, (N,), are theirs: those of every so many-th run, vehicle by vehicle."""
         every = self.reference.settings.verdict.held_out_every
         theirs: np.ndarray = self.session.folds(every) == every - 1
         return theirs

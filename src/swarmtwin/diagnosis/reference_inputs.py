@@ -11,8 +11,8 @@ from swarmtwin.dynamics.predictor import NetworkDynamics
 from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.errors import UserError
 from swarmtwin.learning.device import Device, torch_device
-from swarmtwin.recordings.recognition import marks, recognised, row_hashes
-from swarmtwin.recordings.recording import Recording, Track
+from swarmtwin.recordings.recognition import known_by, recognised, row_hashes
+from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot, SituationPart
 from swarmtwin.simulation.evaluation import load_simulation
 from swarmtwin.transitions import Transitions, from_recording
@@ -51,7 +51,7 @@ def reference_for(
     enough_measured(measured, settings.reference)
     if folder is None:
         assert reference is not None
-        learned = _marks_of(reference)
+        learned = known_by(reference.tracks)
         _refuse_overlap(learned, measured, name)
         transitions, _ = from_recording(reference)
         return Reference.learn(transitions, seed, situation, settings), learned
@@ -73,7 +73,7 @@ def reference_for(
                 "real data, or add reference=DIR, a recording in which nothing is wrong"
             )
         return Reference.of_simulation(dynamics, evidence, seed, settings), provenance.learned
-    _refuse_overlap(_marks_of(reference), measured, name)
+    _refuse_overlap(known_by(reference.tracks), measured, name)
     transitions, _ = from_recording(_not_fitted(reference, folder, provenance))
     return Reference.of_simulation(dynamics, transitions, seed, settings), provenance.learned
 
@@ -87,29 +87,31 @@ def _not_fitted(reference: Recording, folder: Path, provenance: Provenance) -> R
     seen = recognised(reference.tracks, set(provenance.learned))
     evidence = load_evidence(folder) if any(seen) else None
     if evidence is not None:
-        chosen_by = _starts(evidence)
-        seen = [one and not _is_made_of(track, chosen_by) for one, track in zip(seen, reference.tracks, strict=True)]
+        chosen_by = _made_of(reference, evidence)
+        seen = [
+            one and (track.run, track.vehicle) not in chosen_by
+            for one, track in zip(seen, reference.tracks, strict=True)
+        ]
     part = reference.without(seen)
     return part if part.tracks else provenance.unseen_part(reference)
+
+
+def _made_of(recording: Recording, evidence: Transitions, least: float = 0.9) -> set[tuple[str, str]]:
+    """Return the runs and vehicles of tracks of which `least` of the transitions, or more, are among some evidence.
+
+    Names of runs do not tell that: copies are numbered anew, and runs of several recordings are called by these.
+    Transitions that lead from one block into the next are in no recording that is cut there.
+    """
+    transitions, _ = from_recording(recording)
+    is_known = np.isin(_starts(transitions), _starts(evidence))
+    track, number = np.unique(np.column_stack([transitions.run, transitions.vehicle]), axis=0, return_inverse=True)
+    share = np.bincount(number.ravel(), is_known) / np.bincount(number.ravel())
+    return {(transitions.runs[run], transitions.vehicles[vehicle]) for run, vehicle in track[share >= least].tolist()}
 
 
 def _starts(transitions: Transitions) -> np.ndarray:
     """Return (N,) hashes of when, by which command and where transitions start."""
     return row_hashes(transitions.time_s, transitions.command, transitions.pose)
-
-
-def _is_made_of(track: Track, starts: np.ndarray) -> bool:
-    """Return whether most of what a track measured starts as transitions do that are known by their hashes.
-
-    Names of runs do not tell that: copies are numbered anew, and runs of several recordings are called by these.
-    """
-    rows = np.column_stack([track.time_s, track.command, track.pose])
-    measured = row_hashes(rows[np.isfinite(rows).all(axis=1)])
-    return 2 * int(np.isin(measured, starts).sum()) > len(measured)
-
-
-def _marks_of(recording: Recording) -> tuple[str, ...]:
-    return tuple(mark for track in recording.tracks for mark in marks(track))
 
 
 def _refuse_overlap(learned: tuple[str, ...], measured: Recording, what: str) -> None:

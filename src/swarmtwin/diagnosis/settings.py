@@ -295,8 +295,8 @@ class VerdictSettings(StrictModel):
     """When causes stand, and when they explain all.
 
     Attributes:
-        held_out_every: of so many runs of a vehicle the last is held out: nothing is fitted to it, gains are measured
-            on it.
+        held_out_every: of so many runs, taken vehicle by vehicle, the last is held out: nothing is fitted to it, gains
+            are measured on it.
         alarm_nats: left over by the causes from which on something is wrong that nobody has named,
         alarm_nats_a_transition: and for each transition.
         nameless_nats: left over by the causes from which on none of them is named: where nothing is left, regressions
@@ -314,7 +314,8 @@ class VerdictSettings(StrictModel):
         nearest_end: share of its range by which a parameter must lie off its ends where its interval holds one, for its
             cause to be named.
         named_in_trials: for each cause, in how many sessions of stand-ins it was there, of those in which it was named,
-            where half of what is wrong is in no catalogue or acts by another law (see docs/results.md).
+            where half of what is wrong is in no catalogue or acts by another law (see docs/results.md); null: the
+            posterior probability is told as it is.
         trials_prior: named causes that the share of all of them counts for, against those of one cause.
         gain_draws: bootstraps over runs for the gain's interval.
         windows_s: over which open loop is measured, in held-out runs that are as long.
@@ -333,7 +334,7 @@ class VerdictSettings(StrictModel):
     most_left: Share = 0.04
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05
-    named_in_trials: dict[str, Named] = Field(default_factory=lambda: dict(NAMED_IN_TRIALS))
+    named_in_trials: dict[str, Named] | None = Field(default_factory=lambda: dict(NAMED_IN_TRIALS))
     trials_prior: Positive = 10.0
     gain_draws: Count = 1000
     windows_s: tuple[Positive, ...] = (2.0, 5.0, 10.0, 30.0)

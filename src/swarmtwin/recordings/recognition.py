@@ -1,11 +1,13 @@
 """What was measured is recognised wherever it turns up: a simulation is not to be judged by what it was learned from.
 
 A track is known by its digest, whatever the run is called and whichever file format holds it. But where a long run is
-cut into blocks depends on how many runs its recording has, and of a drive that lies in another folder as well the
-blocks are others. So of long runs some transitions are known too: those whose hash says so, however the run is cut.
+cut into blocks depends on how many runs its recording has: a copy of one drive, in a folder of its own, is cut
+elsewhere. So of long runs some transitions are known as well: those whose hash says so, however the run is cut.
 """
 
-from collections.abc import Container, Sequence
+from collections import defaultdict
+from collections.abc import Container, Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,34 +15,64 @@ import pandas as pd
 from swarmtwin.recordings.blocks import is_block, run_of
 from swarmtwin.recordings.recording import Track
 
-CUT_FROM = 80
-"""A run of so many rows may be cut into blocks."""
+MARKED_FROM = 60
+"""Runs of fewer rows are known as a whole alone: none is cut that has fewer than twice 40, duplicates among them."""
 
 ONE_IN = 16
-"""Of so many transitions of a long run about one is known by itself."""
+"""Of so many transitions of a long run about one is known: of a block of 40 rows two or three."""
+
+MOST_TRANSITIONS = 100_000
+"""So many transitions of a recording are kept, in some 2 MB: one in 16 of 1.6 million, of a longer one fewer."""
 
 
-def marks(track: Track) -> tuple[str, ...]:
-    """Return what a track is recognised by: its digest, and some of its transitions, if it is, or may be, cut."""
-    if len(track) < CUT_FROM and not is_block(track.run):
-        return (track.digest(),)
-    return (track.digest(), *_marked_transitions(track))
+class Marks(NamedTuple):
+    """What a track is recognised by.
+
+    Attributes:
+        digest: of the whole.
+        transitions: hashes of some of its transitions; of a short run none.
+    """
+
+    digest: str
+    transitions: np.ndarray
+
+
+def marks(track: Track) -> Marks:
+    """Return what a track is recognised by."""
+    is_short = len(track) < MARKED_FROM and not is_block(track.run)
+    return Marks(track.digest(), np.empty(0, np.uint64) if is_short else _marked_transitions(track))
+
+
+def known_by(tracks: Iterable[Track]) -> tuple[str, ...]:
+    """Return what tracks are recognised by, as a model's description keeps it: see `recognised`."""
+    return kept_marks(map(marks, tracks))
+
+
+def kept_marks(of_tracks: Iterable[Marks]) -> tuple[str, ...]:
+    """Return the marks of tracks, sorted, as a model's description keeps them: see `recognised`."""
+    digests, transitions = zip(*of_tracks, strict=True) if (of_tracks := list(of_tracks)) else ((), ())
+    hashes = np.sort(np.concatenate([np.empty(0, np.uint64), *transitions]))[:MOST_TRANSITIONS]
+    return tuple(sorted({*digests, *(f"{one:016x}" for one in hashes.tolist())}))
 
 
 def recognised(tracks: Sequence[Track], known: Container[str]) -> list[bool]:
-    """Return which tracks of a recording are, or are parts of, those whose marks are known.
+    """Return which tracks of a recording are, or are parts of, those that `known_by` was made of.
 
-    Of a run that is cut otherwise than it had been, all blocks are: not each has a transition that is known.
+    Of a long run that was cut elsewhere more than half of the transitions that can be known have to be, and of a block
+    all, if three can: runs of which only the beginning is the same are others.
     """
-    all_marks = [marks(track) for track in tracks]
-    cut_otherwise = {
-        run_of(track.run)
-        for track, (digest, *others) in zip(tracks, all_marks, strict=True)
-        if digest not in known and any(one in known for one in others)
-    }
+    of_tracks = [marks(track) for track in tracks]
+    is_whole = [own.digest in known for own in of_tracks]
+    found = [np.array([f"{one:016x}" in known for one in own.transitions.tolist()], bool) for own in of_tracks]
+    runs = [(run_of(track.run), track.vehicle) for track in tracks]
+    cut_alike = {run for run, known_whole in zip(runs, is_whole, strict=True) if known_whole}
+    of_runs: dict[tuple[str, str], list[bool]] = defaultdict(list)
+    for run, own in zip(runs, found, strict=True):
+        of_runs[run] += own.tolist()
+    cut_otherwise = {run for run, own in of_runs.items() if run not in cut_alike and sum(own) > max(1, len(own) / 2)}
     return [
-        digest in known or run_of(track.run) in cut_otherwise
-        for track, (digest, *_) in zip(tracks, all_marks, strict=True)
+        whole or run in cut_otherwise or (len(own) >= 3 and bool(own.all()))
+        for whole, run, own in zip(is_whole, runs, found, strict=True)
     ]
 
 
@@ -50,8 +82,8 @@ def row_hashes(*columns: np.ndarray) -> np.ndarray:
     return pd.util.hash_pandas_object(pd.DataFrame(thousandths), index=False).to_numpy()
 
 
-def _marked_transitions(track: Track) -> list[str]:
+def _marked_transitions(track: Track) -> np.ndarray:
     """Return the hashes of some transitions of a vehicle that moved: of its time, command and both poses."""
     rows = np.column_stack([track.time_s[:-1], track.command[:-1], track.pose[:-1], track.pose[1:]])
     hashes = row_hashes(rows[np.isfinite(rows).all(axis=1) & (track.pose[:-1] != track.pose[1:]).any(axis=1)])
-    return [f"{one:016x}" for one in hashes[hashes % ONE_IN == 0].tolist()]
+    return hashes[hashes % ONE_IN == 0]

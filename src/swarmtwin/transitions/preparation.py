@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from swarmtwin.errors import UserError
 from swarmtwin.files import write_text
-from swarmtwin.recordings.recognition import marks
+from swarmtwin.recordings.recognition import known_by
 from swarmtwin.recordings.recording import Recording, fault
 from swarmtwin.robot import Arena, StrictModel
 from swarmtwin.transitions.extraction import Counts
@@ -126,7 +126,7 @@ def describe(
         vehicles=recording.vehicles,
         runs=runs,
         transitions=counts_by_split(transitions),
-        learned=tuple(sorted(mark for track in recording.tracks if track.run not in unseen for mark in marks(track))),
+        learned=known_by(track for track in recording.tracks if track.run not in unseen),
     )
 
 

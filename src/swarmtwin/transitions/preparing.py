@@ -13,7 +13,7 @@ import numpy as np
 
 from swarmtwin.errors import UserError, near_miss
 from swarmtwin.recordings.reading import read_in_parts
-from swarmtwin.recordings.recognition import marks
+from swarmtwin.recordings.recognition import Marks, kept_marks, marks
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.robot import Robot
 from swarmtwin.transitions.extraction import Counts, from_part
@@ -88,7 +88,7 @@ class _LaidAside:
     runs: list[str] = field(default_factory=list)
     sizes: list[np.ndarray] = field(default_factory=list)
     neighbours: int = 0
-    tracks: list[tuple[tuple[str, ...], str, str]] = field(default_factory=list)
+    tracks: list[tuple[Marks, str, str]] = field(default_factory=list)
 
     def take(self, part: Recording) -> None:
         """Lay the transitions of the next part aside."""
@@ -141,5 +141,5 @@ def _describe(
         vehicles=tuple(sorted({vehicle for *_, vehicle in parts.tracks})),
         runs=runs,
         transitions={part: int(sizes[own].sum()) for part, own in zip(SPLITS, of_split, strict=True)},
-        learned=tuple(sorted(mark for own, run, _ in parts.tracks if run not in unseen for mark in own)),
+        learned=kept_marks(own for own, run, _ in parts.tracks if run not in unseen),
     )

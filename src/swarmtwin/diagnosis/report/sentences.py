@@ -284,11 +284,14 @@ def posterior_words(diagnosis: DiagnosisResult) -> str:
             "These probabilities assume that the true causes are in the catalogue. But no set of its causes explains "
             f"what was measured, or runs that nothing was fitted to speak against it: none is named.{values}"
         )
+    lower = (
+        " The confidence in a cause is lower, as some of its name were not there in trials, mostly since what was "
+        "wrong was in no catalogue or acted by another law than its mechanism."
+    )
     return (
         "These probabilities assume that the true causes are in the catalogue. A cause is named where the sets that "
-        "hold it, or one that looks the same, have most of the probability together (90 %, if not set otherwise). "
-        "The confidence in a named cause is lower: in trials some of those named were not there, mostly since what was "
-        "wrong was in no catalogue."
+        "hold it, or one that looks the same, have most of the probability together (90 %, if not set otherwise)."
+        f"{lower if any(cause.confidence < cause.posterior for cause in diagnosis.causes) else ''}"
     )
 
 

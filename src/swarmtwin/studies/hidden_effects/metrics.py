@@ -86,7 +86,9 @@ def summarise(results: Sequence[Result]) -> dict[str, Any]:
         parameters: likewise for each single parameter, and in its own unit.
         covered, median_parameter_error_percent: over all that are said in the unit that they are hidden in; the others,
             in_another_unit, are counted (see `parameters_table`).
-        brier: see `brier_score`, of confidences, and brier_of_posterior: of the posterior probabilities alone.
+        mean_confidence: of the causes named.
+        brier: see `brier_score`, of confidences; brier_of_posterior and calibration_error_of_posterior are of posterior
+            probabilities alone.
         calibration_error: see `expected_calibration_error`; and calibration_error_by_chance: what it would stay below
             in 95 % of such studies if confidences were right.
         gain: of the achievable gain on held-out runs, over sessions with true causes that raise the error by 10 % or
@@ -165,6 +167,8 @@ def _family(table: pd.DataFrame, said: pd.DataFrame, confidences: pd.DataFrame) 
         "named_causes": len(confidences),
         "calibration_error": expected_calibration_error(confidences.confidence, confidences.true),
         "calibration_error_by_chance": calibration_error_by_chance(confidences.confidence),
+        "calibration_error_of_posterior": expected_calibration_error(confidences.posterior, confidences.true),
+        "mean_confidence": float(confidences.confidence.mean()) if len(confidences) else None,
         "brier": brier_score(confidences.confidence, confidences.true),
         "brier_of_posterior": brier_score(confidences.posterior, confidences.true),
         "gain": _gains(hiding[in_rise_bin(hiding, CLEAR)]),

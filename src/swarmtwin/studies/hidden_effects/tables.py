@@ -178,6 +178,12 @@ def _marks_table(summary: dict[str, Any]) -> StudyTable:
             "",
             lambda own: _number(own["calibration_error_by_chance"]),
         ),
+        (
+            "  of posterior probabilities alone",
+            "",
+            lambda own: _number(own["calibration_error_of_posterior"]),
+        ),
+        ("  mean confidence", "", lambda own: _percent(own["mean_confidence"])),
         ("  mean squared error (Brier)", "", lambda own: _number(own["brier"])),
         ("  likewise, of posterior probabilities alone", "", lambda own: _number(own["brier_of_posterior"])),
         (

@@ -13,7 +13,7 @@ from swarmtwin.files import new_folder
 from swarmtwin.learning.device import one_thread
 from swarmtwin.learning.parallel import Report
 from swarmtwin.learning.progress_bars import quieter
-from swarmtwin.recordings.recognition import marks
+from swarmtwin.recordings.recognition import known_by
 from swarmtwin.recordings.recording import Recording
 from swarmtwin.simulation.simulation_folder import save_extended
 from swarmtwin.standin.effects import parse_effects
@@ -71,7 +71,7 @@ class FamilyDiagnosis:
     def _diagnose(self, name: str, reference: Reference, recording: Recording, seed: int) -> None:
         measured = self._record(self.options.hidden[name], self.options.lengths.runs, seed)
         diagnosed = diagnose(reference, measured, seed)
-        learned = tuple(mark for track in recording.tracks for mark in marks(track))
+        learned = known_by(recording.tracks)
         provenance = extension_provenance(diagnosed, measured, name, learned, {}, seed)
         if not (self.folder / AS_LEARNED).exists():
             with new_folder(self.folder / AS_LEARNED, "experiment") as inside:
