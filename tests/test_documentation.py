@@ -276,7 +276,7 @@ def test_how_sure_names_are_is_what_the_study_counted():
     for said, page in told.items():
         first, second = counted_of_the_diagnosis(page=page).values()
         number = said[said.index("{") :]
-        both = f"{said.format(**first)} and {number.format(**second)}".replace("% and", "and").replace("%", " %")
+        both = f"{said.format(**first)} and {number.format(**second)}".replace("% and", " and").replace("%", " %")
         assert both in text, both
 
 
