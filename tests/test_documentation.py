@@ -367,16 +367,20 @@ def test_the_table_of_other_methods_is_what_the_study_counted():
 
 
 def test_the_table_of_the_oracle_is_what_the_study_counted():
-    counted = counted_of_the_diagnosis("true_model")["formulas"]
+    pages = ("hidden_effects", "confirmation")
+    seeds = [counted_of_the_diagnosis("true_model", page=page)["formulas"] for page in pages]
     for row, method in {"the diagnosis beside it": "diagnosis", "an oracle": "oracle"}.items():
-        own = counted[method]
-        by_kind = [list(own["one"].values()), [own["two"]], [own["three"]]]
+        own = [seed[method] for seed in seeds]
+        by_kind = [
+            [one for seed in own for one in seed["one"].values()],
+            *([seed[kind] for seed in own] for kind in ("two", "three")),
+        ]
         shares = [
             tuple(sum(one[what] for one in counts) for what in ("count", "total"))
             for counts in [[one for counts in by_kind for one in counts], *by_kind]
         ]
-        named = own["outside"]["total"] - own["outside"]["count"] + own["accused"]["count"]
-        shares.append((named, own["outside"]["total"] + own["accused"]["total"]))
+        unnamed = sum(seed["outside"]["total"] - seed["outside"]["count"] + seed["accused"]["count"] for seed in own)
+        shares.append((unnamed, sum(seed["outside"]["total"] + seed["accused"]["total"] for seed in own)))
         assert cells_of_results(row) == [f"{count} of {total}" for count, total in shares], row
 
 
