@@ -278,6 +278,16 @@ def test_how_sure_names_are_is_what_the_study_counted():
         number = said[said.index("{") :]
         both = f"{said.format(**first)} and {number.format(**second)}".replace("% and", " and").replace("%", " %")
         assert both in text, both
+    judged = (DOCS / "results" / "judged" / "confirmation.jsonl").read_text().splitlines()
+    named = [
+        (one.name, one.name in case.true_causes)
+        for case in map(Result.model_validate_json, judged)
+        for one in case.causes
+    ]
+    bent = [there for name, there in named if name in ("dead_band", "gain_change")]
+    others = [there for name, there in named if name not in ("dead_band", "gain_change")]
+    said = f"says 77 %, {sum(bent)} of {len(bent)} are there, of the other causes {sum(others)} of {len(others)}"
+    assert said in text
 
 
 def test_the_table_of_another_vehicle_is_what_the_study_counted():
