@@ -5,8 +5,9 @@ cut into blocks depends on how many runs its recording has: a copy of one drive,
 elsewhere. So of long runs some transitions are known as well: those whose hash says so, however the run is cut.
 """
 
+import base64
 from collections import defaultdict
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,10 @@ ONE_IN = 16
 """Of so many transitions of a long run about one is known: of a block of 40 rows two or three."""
 
 MOST_TRANSITIONS = 100_000
-"""So many transitions of a recording are kept, in some 2 MB: one in 16 of 1.6 million, of a longer one fewer."""
+"""So many transitions of a recording are kept, in half a megabyte: one in 16 of 1.6 million, of a longer one fewer."""
+
+PACKED = "transitions:"
+"""What the one mark begins with that holds the hashes of transitions, four bytes each, in base 64."""
 
 
 class Marks(NamedTuple):
@@ -30,7 +34,7 @@ class Marks(NamedTuple):
 
     Attributes:
         digest: of the whole.
-        transitions: hashes of some of its transitions; of a short run none.
+        transitions: hashes of some of its transitions, of 32 bits; of a short run none.
     """
 
     digest: str
@@ -40,7 +44,7 @@ class Marks(NamedTuple):
 def marks(track: Track) -> Marks:
     """Return what a track is recognised by."""
     is_short = len(track) < MARKED_FROM and not is_block(track.run)
-    return Marks(track.digest(), np.empty(0, np.uint64) if is_short else _marked_transitions(track))
+    return Marks(track.digest(), np.empty(0, np.uint32) if is_short else _marked_transitions(track))
 
 
 def known_by(tracks: Iterable[Track]) -> tuple[str, ...]:
@@ -50,12 +54,13 @@ def known_by(tracks: Iterable[Track]) -> tuple[str, ...]:
 
 def kept_marks(of_tracks: Iterable[Marks]) -> tuple[str, ...]:
     """Return the marks of tracks, sorted, as a model's description keeps them: see `recognised`."""
-    digests, transitions = zip(*of_tracks, strict=True) if (of_tracks := list(of_tracks)) else ((), ())
-    hashes = np.sort(np.concatenate([np.empty(0, np.uint64), *transitions]))[:MOST_TRANSITIONS]
-    return tuple(sorted({*digests, *(f"{one:016x}" for one in hashes.tolist())}))
+    of_tracks = list(of_tracks)
+    hashes = np.unique(np.concatenate([np.empty(0, np.uint32), *(own.transitions for own in of_tracks)]))
+    packed = base64.b64encode(hashes[:MOST_TRANSITIONS].astype("<u4").tobytes()).decode()
+    return tuple(sorted({*(own.digest for own in of_tracks), *([PACKED + packed] if packed else [])}))
 
 
-def recognised(tracks: Sequence[Track], known: Container[str]) -> list[bool]:
+def recognised(tracks: Sequence[Track], known: Collection[str]) -> list[bool]:
     """Return which tracks of a recording are, or are parts of, those that `known_by` was made of.
 
     Of a long run that was cut elsewhere more than half of the transitions that can be known have to be, and of a block
@@ -63,7 +68,8 @@ def recognised(tracks: Sequence[Track], known: Container[str]) -> list[bool]:
     """
     of_tracks = [marks(track) for track in tracks]
     is_whole = [own.digest in known for own in of_tracks]
-    found = [np.array([f"{one:016x}" in known for one in own.transitions.tolist()], bool) for own in of_tracks]
+    transitions = np.concatenate([np.empty(0, np.uint32), *map(_unpacked, known)])
+    found = [np.isin(own.transitions, transitions) for own in of_tracks]
     runs = [(run_of(track.run), track.vehicle) for track in tracks]
     cut_alike = {run for run, known_whole in zip(runs, is_whole, strict=True) if known_whole}
     of_runs: dict[tuple[str, str], list[bool]] = defaultdict(list)
@@ -86,4 +92,11 @@ def _marked_transitions(track: Track) -> np.ndarray:
     """Return the hashes of some transitions of a vehicle that moved: of its time, command and both poses."""
     rows = np.column_stack([track.time_s[:-1], track.command[:-1], track.pose[:-1], track.pose[1:]])
     hashes = row_hashes(rows[np.isfinite(rows).all(axis=1) & (track.pose[:-1] != track.pose[1:]).any(axis=1)])
-    return hashes[hashes % ONE_IN == 0]
+    return (hashes[hashes % ONE_IN == 0] >> 32).astype(np.uint32)
+
+
+def _unpacked(mark: str) -> np.ndarray:
+    """Return the hashes of transitions that a mark holds; a digest holds none."""
+    if not mark.startswith(PACKED):
+        return np.empty(0, np.uint32)
+    return np.frombuffer(base64.b64decode(mark.removeprefix(PACKED)), "<u4")
