@@ -11,7 +11,6 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from swarmtwin.recordings.blocks import is_block, run_of
 from swarmtwin.recordings.recording import Track
@@ -84,6 +83,8 @@ def recognised(tracks: Sequence[Track], known: Collection[str]) -> list[bool]:
 
 def row_hashes(*columns: np.ndarray) -> np.ndarray:
     """Return (N,) hashes of rows of finite numbers, (N,) or (N, K) each, which are the same to a thousandth."""
+    import pandas as pd  # for those who read a recording: commands that are answered at once do not wait for it
+
     thousandths = np.rint(1000 * np.column_stack(columns)).astype(np.int64)
     return pd.util.hash_pandas_object(pd.DataFrame(thousandths), index=False).to_numpy()
 
