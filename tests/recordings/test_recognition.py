@@ -4,12 +4,13 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from drives import header_of
 from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.joining import joined
-from swarmtwin.recordings.recognition import known_by, marks, recognised
+from swarmtwin.recordings.recognition import known_by, marks, recognised, row_hashes
 from swarmtwin.recordings.recording import Recording, Track
 
 
@@ -88,3 +89,10 @@ def test_what_a_very_long_recording_is_known_by_stays_small_and_is_recognised(mo
     learned = set(known_by(in_blocks(drives)))
     assert len("".join(learned)) < 16 * len(in_blocks(drives)) + 1100
     assert all(recognised(in_blocks(drives[:1]), learned))
+
+
+def test_rows_have_the_hashes_that_pandas_gives_them():
+    rows = np.random.default_rng(1).normal(0, 300, (200, 5)).round(3)
+    whole = pd.DataFrame(np.rint(1000 * rows).astype(np.int64))
+    np.testing.assert_array_equal(row_hashes(rows[:, 0], rows[:, 1:]), pd.util.hash_pandas_object(whole, index=False))
+    assert len(row_hashes(rows[:0])) == 0
