@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 from drives import header_of
+from swarmtwin.errors import UserError
 from swarmtwin.recordings.blocks import in_blocks
 from swarmtwin.recordings.joining import joined
 from swarmtwin.recordings.recognition import known_by, marks, recognised, row_hashes
@@ -96,3 +97,9 @@ def test_rows_have_the_hashes_that_pandas_gives_them():
     whole = pd.DataFrame(np.rint(1000 * rows).astype(np.int64))
     np.testing.assert_array_equal(row_hashes(rows[:, 0], rows[:, 1:]), pd.util.hash_pandas_object(whole, index=False))
     assert len(row_hashes(rows[:0])) == 0
+
+
+@pytest.mark.parametrize("damage", ["transitions:AAA", "transitions:AAAAAAA=", "transitions:%%%%"])
+def test_damaged_marks_are_one_clear_error(damage):
+    with pytest.raises(UserError, match=r"description is damaged at 'transitions:.*train it anew"):
+        recognised([driven("run_00001", 90, 1)], {damage})

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtwin.errors import UserError
 from swarmtwin.recordings.blocks import is_block, run_of
 from swarmtwin.recordings.recording import Track
 
@@ -64,6 +65,9 @@ def recognised(tracks: Sequence[Track], known: Collection[str]) -> list[bool]:
 
     Of a long run that was cut elsewhere more than half of the transitions that can be known have to be, and of a block
     all, if three can: runs of which only the beginning is the same are others.
+
+    Raises:
+        UserError: what is known is damaged.
     """
     of_tracks = [marks(track) for track in tracks]
     is_whole = [own.digest in known for own in of_tracks]
@@ -112,4 +116,10 @@ def _unpacked(mark: str) -> np.ndarray:
     """Return the hashes of transitions that a mark holds; a digest holds none."""
     if not mark.startswith(PACKED):
         return np.empty(0, np.uint32)
-    return np.frombuffer(base64.b64decode(mark.removeprefix(PACKED)), "<u4")
+    try:
+        return np.frombuffer(base64.b64decode(mark.removeprefix(PACKED), validate=True), "<u4")
+    except ValueError as error:
+        raise UserError(
+            f"what a simulation was learned from cannot be read: its description is damaged at {mark[:24]!r}… "
+            f"({error}): train it anew"
+        ) from None
