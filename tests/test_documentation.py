@@ -22,7 +22,7 @@ from documentation import DOCS, PAGES, README, REPOSITORY, blocks, commands
 from swarmtwin.commands.app import _spelled_out
 from swarmtwin.commands.catalogue import COMMANDS
 from swarmtwin.configuration import config_files, config_folder, let_hydra_find_plugins
-from swarmtwin.diagnosis.settings import NAMED_IN_TRIALS
+from swarmtwin.diagnosis.names_in_trials import NAMED_IN_TRIALS
 from swarmtwin.robot import Robot
 from swarmtwin.standin.physics import fabricate
 from swarmtwin.standin.rigid_body.car import Car

@@ -16,6 +16,7 @@ from swarmtwin.dynamics.provenance import Provenance
 from swarmtwin.dynamics.training_module import EpochHistory
 from swarmtwin.errors import UserError
 from swarmtwin.files import folder_digest
+from swarmtwin.recordings.recognition import digests
 from swarmtwin.tracking import registry
 from swarmtwin.tracking.store import use_store
 from swarmtwin.transitions import SPLITS, GeneratorOrigin, load_preparation, load_transitions
@@ -191,7 +192,8 @@ def test_synthetic_transitions_are_no_evidence_and_a_mixture_s_is_what_its_gener
 ):
     real, preparation = load_transitions(prepared), load_preparation(prepared)
     origin = GeneratorOrigin(name="gan", digest="d", seed=1, real_transitions=1)
-    lineage = {"synthetic": preparation.learned, "elsewhere": (*preparation.learned, "another run")}
+    one_run = (min(digests(preparation.learned)), "transitions:AAAAAA==")
+    lineage = {"synthetic": preparation.learned, "part": one_run, "elsewhere": (*preparation.learned, "another run")}
     for name, learned in lineage.items():
         (workshop / name).mkdir()
         changes = {"origin": "synthetic", "generator": origin, "learned": learned}
@@ -203,7 +205,8 @@ def test_synthetic_transitions_are_no_evidence_and_a_mixture_s_is_what_its_gener
         mixed = ("transitions=prepared", f"synthetic={name}", "real_share=0.5", *quick, f"output=of-{name}-mixed")
         assert swarmtwin("train", *mixed).status == 0
     assert load_evidence(workshop / "of-elsewhere-mixed") is None
-    np.testing.assert_array_equal(load_evidence(workshop / "of-synthetic-mixed").time_s, real.part("test").time_s)
+    for name in ("synthetic", "part"):
+        np.testing.assert_array_equal(load_evidence(workshop / f"of-{name}-mixed").time_s, real.part("test").time_s)
 
 
 def test_a_network_may_look_at_neighbours(swarmtwin, workshop):

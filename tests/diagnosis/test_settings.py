@@ -119,6 +119,8 @@ def test_a_cause_is_as_sure_as_names_like_it_were_right():
     assert VerdictSettings(named_in_trials={}).confidence("gain_change", 0.8) == 0.8
     with pytest.raises(UserError, match=r"here: field 'verdict.named_in_trials.gain_change'.*cannot have been there"):
         DiagnosisSettings.parse({"verdict": {"named_in_trials": {"gain_change": [3, 2]}}}, "here")
+    with pytest.raises(UserError, match=r"no such mechanism: 'ded_band': did you mean 'dead_band'"):
+        DiagnosisSettings.parse({"verdict": {"named_in_trials": {"ded_band": [1, 2]}}}, "here")
 
 
 def test_a_cause_of_an_earlier_version_has_the_probability_that_was_told():

@@ -146,8 +146,8 @@ class MeasuredSession:
     def folds(self, count: int) -> np.ndarray:
         """Give each transition one of `count` folds, (N,) numbers from 0: whole runs in turn, vehicle by vehicle.
 
-        So each fold has runs of each vehicle, in whatever order they drove. With fewer runs there are as many folds as
-        runs.
+        So each fold has runs of each vehicle that drove so many, in whatever order they drove. With fewer runs there
+        are as many folds as runs.
         """
         runs, first, rank = np.unique(self.run, return_index=True, return_inverse=True)
         order = np.lexsort((runs, self.transitions.vehicle[first]))

@@ -7,8 +7,9 @@ unruly ones were judged before `least_nats_a_transition` and `least_tails_change
 
 from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
+from swarmtwin.diagnosis.names_in_trials import NAMED_IN_TRIALS, Trials
 from swarmtwin.robot import Positive, StrictModel
 
 Count = Annotated[int, Field(ge=1)]
@@ -258,39 +259,6 @@ class MotionNoiseSettings(StrictModel):
     changed_spread: Positive = 0.7
 
 
-def _of_those_named(counts: tuple[int, int]) -> tuple[int, int]:
-    if counts[0] > counts[1]:
-        raise ValueError(f"a cause that was named {counts[1]} times cannot have been there in {counts[0]} of these")
-    return counts
-
-
-Named = Annotated[tuple[Annotated[int, Field(ge=0)], Count], AfterValidator(_of_those_named)]
-"""How often a cause was there, and how often it was named."""
-
-NAMED_IN_TRIALS: dict[str, tuple[int, int]] = {
-    "actuator_asymmetry": (7, 8),
-    "actuator_lag": (18, 20),
-    "backlash": (10, 11),
-    "battery_sag": (16, 17),
-    "camera_scale": (16, 18),
-    "command_delay": (8, 11),
-    "command_loss": (17, 18),
-    "dead_band": (21, 29),
-    "gain_change": (11, 16),
-    "lens_distortion": (14, 16),
-    "marker_offset": (18, 18),
-    "marker_yaw": (16, 16),
-    "neighbour_interaction": (7, 7),
-    "noise_change": (9, 11),
-    "saturation": (21, 23),
-    "steady_drift": (14, 14),
-    "surface_patch": (17, 19),
-    "timing_jitter": (13, 13),
-    "wall_effect": (20, 21),
-}
-"""Of the causes named in the 496 sessions of docs/results.md, how many were there, and how many were named."""
-
-
 class VerdictSettings(StrictModel):
     """When causes stand, and when they explain all.
 
@@ -334,7 +302,7 @@ class VerdictSettings(StrictModel):
     most_left: Share = 0.04
     most_lasting: Share = 0.03
     nearest_end: Share = 0.05
-    named_in_trials: dict[str, Named] | None = Field(default_factory=lambda: dict(NAMED_IN_TRIALS))
+    named_in_trials: Trials | None = Field(default_factory=lambda: dict(NAMED_IN_TRIALS))
     trials_prior: Positive = 10.0
     gain_draws: Count = 1000
     windows_s: tuple[Positive, ...] = (2.0, 5.0, 10.0, 30.0)

@@ -99,7 +99,7 @@ class Provenance(RecordingOrigin):
         """Return what the model has not seen of a recording: not the tracks it was trained on or chosen by.
 
         Tracks are known by what was measured, so that a copy, a part or another format of a recording is recognised,
-        and of runs of 60 rows and more however they are cut into blocks.
+        however its runs are cut into blocks.
 
         Raises:
             UserError: nothing is left.

@@ -11,6 +11,7 @@ from swarmtwin.dynamics.model_folder import save_dynamics, save_evidence
 from swarmtwin.dynamics.provenance import Provenance, SeedOutcome
 from swarmtwin.dynamics.training import Trained
 from swarmtwin.files import write_text
+from swarmtwin.recordings.recognition import digests
 from swarmtwin.robot import Robot
 from swarmtwin.transitions import Preparation, SplitOptions, Transitions, held_out, mix
 from swarmtwin.transitions.inputs import Vehicles, preparation_of, prepared_transitions
@@ -77,7 +78,7 @@ class TrainingData:
                 unfitted = ("validation", "test")
             return cls(real, preparation, held_out(real, unfitted, most_evidence), {source: real})
         added = prepared_transitions(synthetic, robot)
-        if set(added[1].learned) <= set(preparation.learned):  # else its generator may have seen any run
+        if digests(added[1].learned) <= digests(preparation.learned):  # else its generator may have seen any run
             unfitted = ("test",)
         mixed = mix((real.whole(), preparation), added, real_share)
         sources: dict[Path, TransitionSource] = {source: real, synthetic: added[0]}

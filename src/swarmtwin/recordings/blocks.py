@@ -126,8 +126,3 @@ def _name(run: str, block: int, count: int) -> str:
 def run_of(name: str) -> str:
     """Return the name of the run that a block, or a whole run, comes from."""
     return name.partition("~block")[0]
-
-
-def is_block(name: str) -> bool:
-    """Return whether a name is that of a block, not of a whole run."""
-    return run_of(name) != name

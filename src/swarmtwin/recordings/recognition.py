@@ -1,11 +1,12 @@
 """What was measured is recognised wherever it turns up: a simulation is not to be judged by what it was learned from.
 
-A track is known by its digest, whatever the run is called and whichever file format holds it. But where a long run is
-cut into blocks depends on how many runs its recording has: a copy of one drive, in a folder of its own, is cut
-elsewhere. So of long runs some transitions are known as well: those whose hash says so, however the run is cut.
+A track is known by its digest, whatever the run is called. But where a long run is cut into blocks depends on how many
+runs its recording has: a copy of one drive, in a folder of its own, is cut elsewhere. And a format that holds fewer
+digits rounds a number here and there another way. So some transitions are known as well: those whose hash says so.
 """
 
 import base64
+import itertools
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
@@ -13,17 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtwin.errors import UserError
-from swarmtwin.recordings.blocks import is_block, run_of
+from swarmtwin.recordings.blocks import run_of
 from swarmtwin.recordings.recording import Track
 
-MARKED_FROM = 60
-"""Runs of fewer rows are known as a whole alone: none is cut that has fewer than twice 40, duplicates among them."""
-
-ONE_IN = 16
-"""Of so many transitions of a long run about one is known: of a block of 40 rows two or three."""
+ONE_IN = 4
+"""Of so many transitions about one can be known: of a run or block of 40 rows ten."""
 
 MOST_TRANSITIONS = 100_000
-"""So many transitions of a recording are kept, in half a megabyte: one in 16 of 1.6 million, of a longer one fewer."""
+"""So many transitions of a recording are kept, in half a megabyte: one in 4 of 400,000, of a longer one fewer."""
+
+AROUND = 40
+"""So many transitions that can be known say whether a part of a run is known: of 160 rows, where all are kept."""
 
 PACKED = "transitions:"
 """What the one mark begins with that holds the hashes of transitions, four bytes each, in base 64."""
@@ -34,7 +35,7 @@ class Marks(NamedTuple):
 
     Attributes:
         digest: of the whole.
-        transitions: hashes of some of its transitions, of 32 bits; of a short run none.
+        transitions: hashes of some of its transitions, of 32 bits, in order of time.
     """
 
     digest: str
@@ -43,8 +44,7 @@ class Marks(NamedTuple):
 
 def marks(track: Track) -> Marks:
     """Return what a track is recognised by."""
-    is_short = len(track) < MARKED_FROM and not is_block(track.run)
-    return Marks(track.digest(), np.empty(0, np.uint32) if is_short else _marked_transitions(track))
+    return Marks(track.digest(), _marked_transitions(track))
 
 
 def known_by(tracks: Iterable[Track]) -> tuple[str, ...]:
@@ -60,37 +60,68 @@ def kept_marks(of_tracks: Iterable[Marks]) -> tuple[str, ...]:
     return tuple(sorted({*(own.digest for own in of_tracks), *([PACKED + packed] if packed else [])}))
 
 
+def digests(known: Iterable[str]) -> set[str]:
+    """Return the digests of whole tracks among what tracks are recognised by."""
+    return {mark for mark in known if not mark.startswith(PACKED)}
+
+
 def recognised(tracks: Sequence[Track], known: Collection[str]) -> list[bool]:
     """Return which tracks of a recording are, or are parts of, those that `known_by` was made of.
 
-    Of a long run that was cut elsewhere more than half of the transitions that can be known have to be, and of a block
-    all, if three can: runs of which only the beginning is the same are others.
+    Where no block of a run is known by its digest, the run was cut otherwise, and more than half of the transitions
+    that can be known have to be, of a track and what was driven before and after it (`AROUND`): runs of which only the
+    beginning is the same are others. A vehicle that never moves is known with those that did in the same run.
 
     Raises:
         UserError: what is known is damaged.
     """
     of_tracks = [marks(track) for track in tracks]
-    is_whole = [own.digest in known for own in of_tracks]
-    transitions = np.concatenate([np.empty(0, np.uint32), *map(_unpacked, known)])
-    found = [np.isin(own.transitions, transitions) for own in of_tracks]
-    runs = [(run_of(track.run), track.vehicle) for track in tracks]
-    cut_alike = {run for run, known_whole in zip(runs, is_whole, strict=True) if known_whole}
-    of_runs: dict[tuple[str, str], list[bool]] = defaultdict(list)
-    for run, own in zip(runs, found, strict=True):
-        of_runs[run] += own.tolist()
-    cut_otherwise = {run for run, own in of_runs.items() if run not in cut_alike and sum(own) > max(1, len(own) / 2)}
-    return [
-        whole or run in cut_otherwise or (len(own) >= 3 and bool(own.all()))
-        for whole, run, own in zip(is_whole, runs, found, strict=True)
-    ]
+    found = [own.digest in known for own in of_tracks]
+    runs: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for number, track in enumerate(tracks):
+        runs[run_of(track.run), track.vehicle].append(number)
+    cut_otherwise = [own for own in runs.values() if not any(found[number] for number in own)]
+    kept = [_unpacked(mark) for mark in known if mark.startswith(PACKED)]
+    for hashes in kept:
+        is_known = _told(np.concatenate([np.empty(0, np.uint32), *(own.transitions for own in of_tracks)]), hashes)
+        of_each = np.split(is_known, np.cumsum([len(own.transitions) for own in of_tracks])[:-1])
+        for own in cut_otherwise:
+            for number, is_part in zip(own, _known_parts([of_each[number] for number in own]), strict=True):
+                found[number] |= is_part
+    moved = {tracks[number].run for own in cut_otherwise for number in own if found[number]}
+    for own in cut_otherwise:
+        if not any(len(of_tracks[number].transitions) for number in own):
+            for number in own:
+                found[number] = tracks[number].run in moved
+    return found
+
+
+def _told(hashes: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return (M,) 1 where hashes (M,) are among those that were kept, 0 where not, −1 where they cannot be known."""
+    last = kept.max() if len(kept) >= MOST_TRANSITIONS else np.iinfo(np.uint32).max
+    return np.where(hashes > last, -1, np.isin(hashes, kept).astype(np.int8))
+
+
+def _known_parts(told: Sequence[np.ndarray]) -> list[bool]:
+    """Return which parts of a run are known, by what `_told` says of their transitions, part after part."""
+    can_be_known = [part[part >= 0] for part in told]
+    together, edges = np.concatenate(can_be_known), np.cumsum([0, *map(len, can_be_known)])
+    known = []
+    for start, end in itertools.pairwise(edges.tolist()):
+        first = max(min(start - (AROUND - (end - start)) // 2, len(together) - AROUND, start), 0)
+        around = together[first : max(first + AROUND, end)]
+        known.append(int(around.sum()) > max(1, len(around) / 2))
+    return known
 
 
 def row_hashes(*columns: np.ndarray) -> np.ndarray:
-    """Return (N,) hashes of rows of finite numbers, (N,) or (N, K) each, which are the same to a thousandth.
+    """Return (N,) hashes of rows of numbers below 10¹², (N,) or (N, K) each, which are the same to a thousandth.
 
-    They are those that pandas gives a table of whole numbers, at a tenth of the time where tables are short.
+    Files hold decimal numbers, of which many lie half-way between two thousandths: what is rounded is a little more, so
+    that these are rounded alike however they are held. Hashes are those that pandas gives a table of whole numbers, at
+    a tenth of the time where tables are short.
     """
-    mixed = _mixed(np.rint(1000 * np.column_stack(columns)).astype(np.int64).astype(np.uint64)).T
+    mixed = _mixed(np.rint(1000 * np.column_stack(columns) + 0.0037).astype(np.int64).astype(np.uint64)).T
     hashes, factor = np.full(mixed.shape[1], 0x345678, np.uint64), 1_000_003
     for left, column in zip(range(len(mixed), 0, -1), mixed, strict=True):
         hashes = (hashes ^ column) * np.uint64(factor)
@@ -108,14 +139,13 @@ def _mixed(values: np.ndarray) -> np.ndarray:
 def _marked_transitions(track: Track) -> np.ndarray:
     """Return the hashes of some transitions of a vehicle that moved: of its time, command and both poses."""
     rows = np.column_stack([track.time_s[:-1], track.command[:-1], track.pose[:-1], track.pose[1:]])
-    hashes = row_hashes(rows[np.isfinite(rows).all(axis=1) & (track.pose[:-1] != track.pose[1:]).any(axis=1)])
+    is_known = (np.abs(rows) < 1e12).all(axis=1)
+    hashes = row_hashes(rows[is_known & (track.pose[:-1] != track.pose[1:]).any(axis=1)])
     return (hashes[hashes % ONE_IN == 0] >> 32).astype(np.uint32)
 
 
 def _unpacked(mark: str) -> np.ndarray:
-    """Return the hashes of transitions that a mark holds; a digest holds none."""
-    if not mark.startswith(PACKED):
-        return np.empty(0, np.uint32)
+    """Return the hashes of transitions that a mark holds."""
     try:
         return np.frombuffer(base64.b64decode(mark.removeprefix(PACKED), validate=True), "<u4")
     except ValueError as error:

@@ -104,7 +104,7 @@ def _or_rival(cause: Cause) -> str:
     if not cause.rivals:
         return ""
     rivals = enumeration([cause_title(rival) for rival in cause.rivals], last=" or ")
-    return f" (confidence {share_words(cause.confidence)}; less likely, but not excluded: {rivals})"
+    return f" (confidence {probability_words(cause.confidence)}; less likely, but not excluded: {rivals})"
 
 
 def verdict_words(diagnosis: DiagnosisResult) -> str:
