@@ -4,7 +4,6 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from drives import header_of
@@ -127,10 +126,15 @@ def test_what_a_very_long_recording_is_known_by_stays_small_and_is_recognised(mo
     assert all(recognised(in_blocks(drives[:1]), beside))
 
 
-def test_rows_have_the_hashes_that_pandas_gives_them():
-    rows = np.random.default_rng(1).normal(0, 300, (200, 5)).round(3)
-    whole = pd.DataFrame(np.rint(1000 * rows + 0.0037).astype(np.int64))
-    np.testing.assert_array_equal(row_hashes(rows[:, 0], rows[:, 1:]), pd.util.hash_pandas_object(whole, index=False))
+def test_rows_that_are_the_same_to_a_thousandth_have_one_hash_and_others_another():
+    rows = np.random.default_rng(1).normal(0, 300, (20_000, 5)).round(3)
+    hashes = row_hashes(rows[:, 0], rows[:, 1:])
+    np.testing.assert_array_equal(hashes, row_hashes(rows + 2e-4))
+    for others in (rows[:, ::-1], rows + np.eye(5)[4] / 1000, -rows):
+        assert not np.isin(row_hashes(others), hashes).any()
+    assert len(np.unique(hashes)) == 20_000
+    assert len(np.unique(hashes >> 32)) > 19_990  # of which 32 bits are kept
+    np.testing.assert_allclose(np.bincount(hashes % 4, minlength=4) / 20_000, 0.25, atol=0.02)
     assert len(row_hashes(rows[:0])) == 0
 
 
