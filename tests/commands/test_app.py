@@ -89,15 +89,25 @@ def test_a_sweep_runs_each_value(recording, workplace):
     assert (workplace / "out_2").is_dir()
 
 
-@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), PermissionError(13, "denied", "there")])
-def test_a_fault_of_the_system_is_one_line(recording, workplace, capfd, monkeypatch, fault):
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (OSError(28, "No space left on device"), "the disk is full: make room"),
+        (
+            PermissionError(13, "denied", "there/.out.lock.partial"),
+            "another folder, or have it allowed (there); no",
+        ),
+        (OSError(36, "File name too long", "out"), "the name of a file is too long: choose a shorter one (out)"),
+    ],
+)
+def test_a_fault_of_the_system_is_one_line(recording, workplace, capfd, monkeypatch, fault, said):
     def fail(*arguments):
         raise fault
 
     monkeypatch.setattr("swarmtwin.transitions.preparing.save_description", fail)
     assert call("prepare", "robot=mgr", f"recording={recording}", "output=out") == 2
     error = capfd.readouterr().err
-    assert "the disk is full" in error or "no permission" in error
+    assert said in error
     assert "Traceback" not in error
     assert [path.name for path in workplace.iterdir()] == ["recording"]
 

@@ -41,3 +41,15 @@ def test_of_a_long_recording_runs_or_blocks_all_over_it_are_compared(robots, run
     begun_s = np.sort([track.time_s[0] for track in parts.tracks])
     length_s = max(track.time_s[-1] for track in whole.tracks)
     assert np.diff([0.0, *begun_s, length_s]).max() < length_s / 25
+
+
+@pytest.mark.parametrize(("ahead_s", "begins_s", "in_doubt"), [(0, 0, False), (300, 300, True), (1e6, 0, False)])
+def test_a_clock_that_shows_more_than_the_session_s_length_is_in_doubt(robots, ahead_s, begins_s, in_doubt):
+    whole = recording_of(robots["mgr"], 12, 30)
+    length_s = max(track.time_s[-1] for track in whole.tracks)
+    assert 30 < length_s < 300
+    tracks = tuple(dataclasses.replace(track, time_s=track.time_s + ahead_s) for track in whole.tracks)
+    parts, _ = compared(dataclasses.replace(whole, tracks=tracks), 10**6)
+    assert min(track.time_s[0] for track in parts.tracks) == pytest.approx(begins_s, abs=1.0)
+    doubts = ["the measured session's clock begins at 300 s" in warning for warning in parts.warnings]
+    assert doubts == [True] * in_doubt

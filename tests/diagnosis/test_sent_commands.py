@@ -7,6 +7,7 @@ import pytest
 import torch
 from exact_base import ExactBase, known_noise, session_of, still
 
+from swarmtwin.diagnosis.discrepancy import Discrepancy
 from swarmtwin.diagnosis.estimation import estimate
 from swarmtwin.diagnosis.likelihood import SessionLikelihood
 from swarmtwin.diagnosis.measured_session import MeasuredSession
@@ -79,3 +80,19 @@ def test_where_the_log_is_silent_the_recorded_commands_hold(robots):
     silent = session.transitions.time_s > time_s[kept][-1] + 2
     np.testing.assert_array_equal(late[silent], recorded[silent])
     assert not np.allclose(late[~silent], recorded[~silent])
+
+
+def test_what_the_simulation_gets_wrong_of_its_reference_s_rows_is_expected_of_rows_whatever_the_log_says(robots):
+    """The simulation answers rows: that these act late in its reference is said by the rows of a session as well."""
+    base, late = ExactBase(robots["mgr"]), mechanism_class("command_delay").at({"delay_s": 0.1})
+    reference = SessionLikelihood(base, known_noise(), session_of(base, np.random.default_rng(2), runs=40))
+    acting = reference.predictor.twist((late,))
+    moved = replace(reference.session.transitions, displacement=exp_map(acting).numpy())
+    session = MeasuredSession.of(moved, reference.session.conditions)
+    learned = Discrepancy.learn(SessionLikelihood(base, known_noise(), session), 0.3)
+    transitions, sent = asynchronous(base, delay_s=0.0, runs=8, steps=10)
+    sessions = [MeasuredSession.of(transitions, session.conditions, log) for log in (sent, None)]
+    expected = [learned.expected(SessionLikelihood(base, known_noise(), one)) for one in sessions]
+    assert np.abs(expected[1][0]).max() > 5.0
+    for with_log, without in zip(*expected, strict=True):
+        np.testing.assert_allclose(with_log, without, atol=1e-9)

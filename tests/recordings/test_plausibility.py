@@ -9,6 +9,7 @@ from whole_recordings import Judged, headed, in_unit, logged, posed, scaled, sou
 
 from swarmtwin.errors import UserError
 from swarmtwin.recordings.reading import read_recording
+from swarmtwin.robot import Arena
 from swarmtwin.standin.physics import Physics
 
 REFUSED, WARNED, TRUSTED = "refused", "warned", "trusted"
@@ -93,6 +94,16 @@ def test_a_contradiction_that_a_person_has_looked_at_is_a_warning(judged):
     assert "do headings count clockwise?" in text
 
 
+def test_an_arena_in_metres_as_well_does_not_hide_that_poses_are(judged):
+    recording = scaled(0.001)(sound("mgr", seed=3))
+    arena = recording.header.arena_mm
+    in_metres = Arena(x=tuple(value / 1000 for value in arena.x), y=tuple(value / 1000 for value in arena.y))
+    header = recording.header.model_copy(update={"arena_mm": in_metres})
+    outcome, text = judged(replace(recording, header=header))
+    assert outcome == REFUSED
+    assert "are they in another unit? Bring x_mm, y_mm to mm" in text
+
+
 def test_too_few_rows_say_nothing(judged):
     recording = scaled(0.001)(sound("mgr", seed=3))
     short = whole_recordings.tracked(
@@ -131,6 +142,18 @@ def test_a_recording_without_commands_is_not_judged_by_them(judged, recwarn):
 def test_a_log_of_commands_by_another_clock_is_refused(judged, robot, ahead_s, outcome, said):
     found, text = judged(logged(ahead_s)(sound(robot, seed=3)))
     assert (found, said in text) == (outcome, True), text
+
+
+def test_a_log_of_other_vehicles_or_of_half_of_the_rows_is_told(judged):
+    recording = logged(0.0)(sound("mgr", seed=3))
+    (time_s, command), *_ = recording.sent.values()
+    found, text = judged(replace(recording, sent={"01": (time_s, command)}))
+    assert found == WARNED
+    assert "commands.parquet has no commands of vehicle '1', but of '01': the rows' commands are taken" in text
+    half = len(time_s) // 2
+    found, text = judged(replace(recording, sent={"1": (time_s[:half], command[:half])}))
+    assert found == WARNED
+    assert "commands.parquet says what was in force in " in text
 
 
 def test_a_log_that_a_person_has_looked_at_is_a_warning(judged):

@@ -206,3 +206,22 @@ def test_runs_that_overlap_in_time_are_told(mgr, tmp_path, caplog):
         f"{folder}: vehicle '1' drives in runs 'run_00000' and 'run_00001' at the same time: "
         "count times from the start of the session"
     ]
+
+
+def test_a_clock_that_was_set_back_between_runs_is_told(mgr, tmp_path):
+    tracks = drive(mgr, runs=12, steps=4, vehicles=("1",))
+    set_back = [dataclasses.replace(track, time_s=track.time_s - 7200) for track in tracks[6:]]
+    recording = read_recording(write_drive(tmp_path / "recording", mgr, [*tracks[:6], *set_back]), mgr)
+    first_s = set_back[0].time_s[0]
+    assert recording.warnings == (
+        f"by their times run 'run_00006' begins {tracks[5].time_s[0] - first_s:,.0f} s before run 'run_00005': was the "
+        "clock set back between them? count times from the start of the session",
+        f"times begin at {first_s:,.0f} s, below zero: count times from the start of the session",
+    )
+
+
+def test_names_of_runs_that_are_in_no_order_of_time_say_nothing_of_the_clock(mgr, tmp_path):
+    tracks = drive(mgr, runs=12, steps=4, vehicles=("1",))
+    order = np.random.default_rng(1).permutation(12)
+    mixed = [dataclasses.replace(track, run=f"run_{place:05}") for track, place in zip(tracks, order, strict=True)]
+    assert read_recording(write_drive(tmp_path / "recording", mgr, mixed), mgr).warnings == ()

@@ -294,7 +294,7 @@ def test_bytes_that_are_no_text(mgr, folder):
     file.write_bytes(content[: end_of_row_2 + 1] + b"\xff" + content[end_of_row_2 + 1 :])
     assert refusal(folder, mgr) == (
         f"{file}, row 3: bytes that are not UTF-8 text: "
-        "the file is damaged or no CSV file; copy it again from where it was recorded"
+        "save it as UTF-8; or the file is damaged or no CSV file; copy it again from where it was recorded"
     )
 
 
@@ -307,7 +307,7 @@ def test_time_running_backwards(mgr, folder):
     file = replace_cell(folder, 6, "time_s", "0.25")
     assert refusal(folder, mgr) == (
         f"{file}, row 6, column 'time_s': vehicle '1' goes back in time, from 0.5 s to 0.25 s: "
-        "sort the rows by time; give each session its own recording"
+        "sort the rows by time; where the clock was set back, begin another run; a session is a recording"
     )
 
 

@@ -65,7 +65,8 @@ def test_commands_are_read_from_csv_and_parquet_in_any_order(robots, tmp_path):
     )
     table.to_csv(tmp_path / "sent.csv", index=False)
     table.to_parquet(tmp_path / "sent.parquet")
-    for file in ("sent.csv", "sent.parquet"):
+    table.set_axis([1200, 0, 0]).to_parquet(tmp_path / "of_another_table.parquet")  # pandas writes its index
+    for file in ("sent.csv", "sent.parquet", "of_another_table.parquet"):
         sent = read_sent_commands(tmp_path / file, robots["mgr"])
         assert set(sent) == {"1", "2"}
         np.testing.assert_array_equal(sent["1"][0], [0.5, 1.0])

@@ -325,12 +325,14 @@ def with_gaps(recording: Recording) -> Recording:
 def parked(recording: Recording) -> Recording:
     """After its drive each vehicle stands for twice as long, seen by a camera that is free of noise."""
 
+    longest_s = max(track.time_s[-1] - track.time_s[0] for track in recording.tracks) + recording.robot.period_s
+
     def stands(track: Track) -> Track:
         count, period_s = 2 * len(track), recording.robot.period_s
         time_s = track.time_s[-1] + period_s * np.arange(1, count + 1)
         return replace(
             track,
-            time_s=np.append(track.time_s, time_s),
+            time_s=np.append(track.time_s, time_s) + 2 * longest_s * recording.runs.index(track.run),
             command=np.vstack([track.command, np.zeros((count, track.command.shape[1]))]),
             pose=np.vstack([track.pose, np.tile(track.pose[-1], (count, 1))]),
         )

@@ -185,13 +185,17 @@ def _system_remedy(error: OSError) -> str | None:
     remedies = {
         errno.ENOSPC: "the disk is full: make room and run the same command again",
         errno.EDQUOT: "the disk quota is used up: make room and run the same command again",
-        errno.EACCES: "no permission to read or write",
-        errno.EPERM: "no permission to read or write",
+        errno.EACCES: "no permission to read or write: choose another folder, or have it allowed",
+        errno.EPERM: "no permission to read or write: choose another folder, or have it allowed",
+        errno.ENAMETOOLONG: "the name of a file is too long: choose a shorter one",
         errno.EROFS: "the output is on a read-only file system: choose another output",
     }
     if error.errno not in remedies:
         return None
-    where = f" ({error.filename})" if error.filename else ""
+    named = Path(error.filename) if error.filename else None
+    if named and named.suffix == ".partial":  # what an output is called until it is whole
+        named = named.parent
+    where = f" ({named})" if named else ""
     return f"{remedies[error.errno]}{where}; no output was changed"
 
 

@@ -14,7 +14,8 @@ def compared(measured: Recording, most_rows: int, fewest: int = 40) -> tuple[Rec
 
     Of fewer than `fewest` runs, long ones are cut into blocks, which stand for runs: in what is held out, in intervals,
     in what the result says. What is left of a longer recording lies all over it. A clock that shows more than ten times
-    the session's length when that begins was not set for it: times then count from the first one.
+    the session's length when that begins was not set for it: times then count from the first one. One that shows more
+    than its length is believed, and in doubt.
     """
     measured = _with_clock_set(measured)
     rows = sum(map(len, measured.tracks))
@@ -36,7 +37,14 @@ def _with_clock_set(measured: Recording, most_lengths: float = 10.0) -> Recordin
     began_s = min(float(track.time_s[0]) for track in measured.tracks)
     length_s = max(float(track.time_s[-1]) for track in measured.tracks) - began_s
     if abs(began_s) <= most_lengths * length_s:
-        return measured
+        if began_s <= length_s:
+            return measured
+        doubt = (
+            f"the measured session's clock begins at {began_s:,.0f} s, and it lasts {length_s:,.0f} s: what ages is "
+            "taken to have begun at 0 s; if the clock was not set then, count times from the start of the session"
+        )
+        logger.warning("%s", doubt)
+        return replace(measured, warnings=(*measured.warnings, doubt))
     logger.info("the session's clock begins at %.0f s: times count from then on", began_s)
     sent = measured.sent and {vehicle: (at_s - began_s, sent) for vehicle, (at_s, sent) in measured.sent.items()}
     return replace(

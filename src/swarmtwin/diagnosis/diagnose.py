@@ -104,6 +104,7 @@ def diagnose(
         detection_limits=tuple(one.limit for one in limits),
         posterior=leading_sets(explained.posterior, reference.settings.search.reported_sets),
         likeliest=() if explained.verdict == "no_gap" else likeliest,
+        doubts=measured.warnings,
         seed=seed,
     )
     rows = [one for one, _ in parts]

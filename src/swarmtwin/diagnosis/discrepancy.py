@@ -58,7 +58,11 @@ class Discrepancy:
 
 
 def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarray:
-    """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected."""
+    """Return (N, 3, q) the functions of a session, as changes of its errors, none of them corrected.
+
+    Of its rows' commands: these the simulation answers, in its reference as well, whatever a log says of when they were
+    sent.
+    """
     session, narrow, wide = model.session, *(_where_held(model.session, width) for width in (0.1, 0.25))
     held = [_polynomials(session) * one[:, None] for one in (narrow, wide)]
     smooth = np.column_stack(
@@ -70,7 +74,7 @@ def functions(model: SessionErrors, mechanisms: Sequence[Mechanism]) -> np.ndarr
         first = axis * smooth.shape[1]
         columns[:, axis, first : first + smooth.shape[1]] = model.usual_spread[:, axis : axis + 1] * smooth
     for number, mechanism in enumerate(mechanisms):
-        change = model.changes_of(model.predictor.twist((mechanism,)))
+        change = model.changes_of(model.predictor.as_recorded.twist((mechanism,)))
         columns[..., count + 2 * number] = change
         columns[..., count + 2 * number + 1] = change * wide[:, None]
     return columns

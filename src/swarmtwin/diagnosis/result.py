@@ -300,6 +300,7 @@ class DiagnosisResult(StrictModel):
             is weighed apart. Empty in files that are older.
         likeliest: the causes of the most probable set, named or not, with values as they would be told; without those
             that may as well do nothing. Empty where nothing is wrong, and in older files.
+        doubts: what is unusual of the measured recording as a whole, and may be meant. Empty in older files.
         seed: of everything random.
         format: changes when older versions cannot read the file.
     """
@@ -323,6 +324,7 @@ class DiagnosisResult(StrictModel):
     detection_limits: tuple[DetectionLimit, ...] = ()
     posterior: tuple[CauseSet, ...] = ()
     likeliest: tuple[EstimatedCause, ...] = ()
+    doubts: tuple[str, ...] = ()
     seed: int
     format: Literal[1, 2] = 2
 

@@ -92,6 +92,13 @@ class SessionPredictor:
         base = one_member(self.quick or self.base, member)  # type: ignore[arg-type]
         return SessionPredictor(base, self.conditions, self.situation, self.follows, self.sent)
 
+    @cached_property
+    def as_recorded(self) -> "SessionPredictor":
+        """It, where each command is sent as its row's period begins, whatever the log of the commands says."""
+        if not self.sent:
+            return self
+        return replace(self, sent=None, answers={(): self.answers[()]}, twists={}, of_older={})
+
     def moment(self) -> Moment:
         """Return the situations as mechanisms see them, at their measured poses."""
         given = self.situation

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
@@ -19,6 +19,7 @@ from swarmtwin.files import check_regular
 from swarmtwin.plain_yaml import read_yaml
 from swarmtwin.recordings.blocks import FEWEST_RUNS, enough_runs, in_blocks, run_of, table_in_blocks
 from swarmtwin.recordings.plausibility.judgement import judge
+from swarmtwin.recordings.plausibility.run_times import Span, clock_warnings
 from swarmtwin.recordings.plausibility.sampled_rows import SampledRows
 from swarmtwin.recordings.plausibility.sent_log import SentLog
 from swarmtwin.recordings.recording import SENT_FILE, Header, Recording, Sent, Track, fault
@@ -91,26 +92,16 @@ def read_in_parts(
         raise fault(
             files[0].parent if len(files) > 1 else files[0], "no run holds a complete row", "record the runs again"
         )
-    _log_oddities(folder, parts.spans, dropped, tuple(unread))
+    _log_oddities(folder, dropped, tuple(unread))
+    warnings = _logged(folder, clock_warnings(parts.spans))
     try:
-        warnings = judge(header, parts.rows, parts.in_degrees, parts.sent_log)
+        warnings += _logged(folder, judge(header, parts.rows, parts.in_degrees, parts.sent_log))
     except UserError as error:
         raise UserError(f"{folder}: {error}") from None
-    for warning in warnings:
-        logger.warning("%s: %s", folder, warning)
     parts.give_rest()
     if parts.blocks > len({run_of(span.run) for span in parts.spans}):
         logger.info("%s: long runs, taken as %d blocks", folder, parts.blocks)
     return replace(whole, dropped_rows=dict(dropped), digest=digest.hexdigest(), warnings=warnings)
-
-
-class _Span(NamedTuple):
-    """When a track drives."""
-
-    vehicle: str
-    begun_s: float
-    ended_s: float
-    run: str
 
 
 class _Parts:
@@ -128,7 +119,7 @@ class _Parts:
     """
 
     def __init__(self, whole: Recording, take: Callable[[Recording], None], rows_at_a_time: int, few: bool) -> None:
-        self.spans: list[_Span] = []
+        self.spans: list[Span] = []
         self.rows = SampledRows(whole.robot)
         self.in_degrees: SampledRows | None = None
         self.sent_log = SentLog(whole.robot, whole.sent) if whole.sent else None
@@ -147,7 +138,7 @@ class _Parts:
         if not tracks:
             return
         self.spans += [
-            _Span(track.vehicle, float(track.time_s[0]), float(track.time_s[-1]), track.run) for track in tracks
+            Span(track.vehicle, float(track.time_s[0]), float(track.time_s[-1]), track.run) for track in tracks
         ]
         self.blocks += 1
         self._waiting += tracks
@@ -313,24 +304,15 @@ def _read_bytes(file: Path) -> bytes:
         raise fault(file, f"it cannot be read ({error.strerror})", "check that it is there and may be read") from None
 
 
-def _log_oddities(folder: Path, spans: Sequence[_Span], dropped: Counter[str], unread: Sequence[str]) -> None:
+def _log_oddities(folder: Path, dropped: Counter[str], unread: Sequence[str]) -> None:
     if unread:
         logger.warning("%s: columns that nothing reads: %s", folder, ", ".join(unread))
     if dropped:
         counts = ", ".join(f"{reason} {count}" for reason, count in sorted(dropped.items()))
         logger.warning("%s: rows set aside while reading: %s", folder, counts)
-    if overlap := _overlapping_runs(spans):
-        logger.warning(
-            "%s: vehicle %r drives in runs %r and %r at the same time: count times from the start of the session",
-            folder,
-            *overlap,
-        )
 
 
-def _overlapping_runs(spans: Sequence[_Span]) -> tuple[str, str, str] | None:
-    """Return the first vehicle and two runs in which it would have to be at the same time."""
-    ordered = sorted(spans, key=lambda span: (span.vehicle, span.begun_s))
-    for earlier, later in itertools.pairwise(ordered):
-        if earlier.vehicle == later.vehicle and later.begun_s < earlier.ended_s:
-            return earlier.vehicle, run_of(earlier.run), run_of(later.run)
-    return None
+def _logged(folder: Path, warnings: tuple[str, ...]) -> tuple[str, ...]:
+    for warning in warnings:
+        logger.warning("%s: %s", folder, warning)
+    return warnings

@@ -18,7 +18,7 @@ def read_sent_commands(path: Path, robot: Robot) -> Sent:
         UserError: the file is missing, lacks a column, or holds something that is no command of this robot; or a
             vehicle gets two commands at one time.
     """
-    table = _table(path, robot)
+    table = _table(path, robot).reset_index(drop=True)  # pandas writes where rows lay in another table
     for column in ("time_s", "vehicle", *robot.command_columns):
         if column not in table:
             raise fault(path, f"column {column!r} is missing", near_miss(column, table.columns), 1)

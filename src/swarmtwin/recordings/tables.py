@@ -149,7 +149,8 @@ def _check_text(file: Path, content: bytes) -> None:
     try:
         content.decode()
     except UnicodeDecodeError as error:
-        raise fault(file, "bytes that are not UTF-8 text", remedy, row=_line_at(content, error.start)) from None
+        text = f"save it as UTF-8; or {remedy}"
+        raise fault(file, "bytes that are not UTF-8 text", text, row=_line_at(content, error.start)) from None
     if b'"' in content:
         for number, line in enumerate(content.splitlines(), start=1):
             if line.count(b'"') % 2:

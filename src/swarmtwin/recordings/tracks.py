@@ -83,7 +83,7 @@ def _in_order(table: RunTable, rows: np.ndarray, dropped: Counter[str]) -> np.nd
     if (step < 0).any():
         later = int(np.argmax(step < 0)) + 1
         what = f"vehicle {vehicle!r} goes back in time, from {time_s[later - 1]:g} s to {time_s[later]:g} s"
-        remedy = "sort the rows by time; give each session its own recording"
+        remedy = "sort the rows by time; where the clock was set back, begin another run; a session is a recording"
         raise fault(table.file, what, remedy, table.row_number(int(rows[later])), "time_s")
     values = np.column_stack([table.command[rows], table.pose[rows]])
     same = ((values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))).all(axis=1)

@@ -18,6 +18,7 @@ class Limits:
         command_range: warned of where a column never exceeds this share of its limits.
         gain: refused where vehicles move more than the second or, in a corner of the arena, less than the first number
             times as far for their commands as they can.
+        least_gain: refused where they move less than this number of times as far, wherever they drive.
         corner: share of the arena's length and width below which a recording covers a corner only.
         outside: refused where more poses are outside the arena; warned of above a tenth of this.
         covered: warned of where poses begin at the arena's origin and end before this share of its length and width.
@@ -27,6 +28,7 @@ class Limits:
         explained: agreement from which on a mistake is said to be the reason.
         log_disagreement: refused where rows' commands differ from the log's means in their periods by more than this
             share of the commands' variance. Of commands drawn anew each period a clock is off by half a period there.
+        logged: warned of where the log of commands says what was in force in a smaller share of the rows.
         shift: warned of where commands of another row agree by so much more, travel and turning together.
     """
 
@@ -36,6 +38,7 @@ class Limits:
     beyond_limits: float = 0.25
     command_range: float = 0.03
     gain: tuple[float, float] = (0.15, 5.0)
+    least_gain: float = 0.02
     corner: float = 0.2
     outside: float = 0.3
     covered: float = 0.8
@@ -44,6 +47,7 @@ class Limits:
     agreement: float = 0.35
     explained: float = 0.55
     log_disagreement: float = 0.5
+    logged: float = 0.8
     shift: float = 0.1
 
 

@@ -83,8 +83,8 @@ def gain_doubts(arena_mm: Arena, motion: ObservedMotion, limits: Limits) -> Iter
     said = f"poses span {spans} of an arena of {size_mm[0]:g} × {size_mm[1]:g} mm"
     hardly = float(np.quantile(motion.distance, 0.95)) < limits.least_motion * motion.robot.displacement_limit[0]
     slow = travel is not None and travel < least
-    if slow and in_corner:
-        yield Doubt("scale", True, f"{said}: {_length_unit(motion, travel or 0.0, arena_mm.low_mm, arena_mm.high_mm)}")
+    if travel is not None and slow and (in_corner or travel < limits.least_gain):
+        yield Doubt("scale", True, f"{said}: {_length_unit(motion, travel, arena_mm.low_mm, arena_mm.high_mm)}")
     elif hardly and in_corner and float(np.quantile(np.abs(motion.displacement[:, 2]), 0.95)) < 0.02:
         yield Doubt("scale", False, f"{said}: vehicles hardly move")
     elif slow:

@@ -45,12 +45,14 @@ class SentLog:
     def __init__(self, robot: Robot, sent: Sent) -> None:
         self._robot, self._sent = robot, sent
         self._compared: dict[str, _Compared] = {}
+        self._unknown: set[str] = set()
 
     def add(self, tracks: Sequence[Track]) -> None:
         """Let whole tracks pass by."""
         size = self._robot.command_high - self._robot.command_low
         for track in tracks:
             if track.vehicle not in self._sent:
+                self._unknown.add(track.vehicle)
                 continue
             logged = mean_held(*self._sent[track.vehicle], track.time_s, 2 * self._robot.longest_gap_s) / size
             command = track.command[:-1] / size
@@ -65,12 +67,19 @@ class SentLog:
             so_far.difference += ((command[known] - logged[known]) ** 2).sum(axis=0)
 
     def doubts(self, limits: Limits) -> Iterator[Doubt]:
-        """Say of which vehicles the log has nothing, or other commands than the rows."""
+        """Say of which vehicles the log has nothing, or little, or other commands than the rows."""
+        if self._unknown:
+            which, knows = (", ".join(map(repr, sorted(some)[:5])) for some in (self._unknown, self._sent))
+            said = f"{SENT_FILE} has no commands of vehicle {which}, but of {knows}"
+            yield Doubt("clock", False, f"{said}: the rows' commands are taken to be sent as each period begins")
         remedy = f"bring the times in {SENT_FILE} to the clock of the rows, or take the file away"
         for vehicle, compared in sorted(self._compared.items()):
             if compared.rows >= limits.fewest_pairs and not compared.logged:
                 said = f"{SENT_FILE} has no command of vehicle {vehicle!r} in the time of any of its rows"
                 yield Doubt("clock", True, f"{said}: {remedy}")
-            elif compared.logged >= limits.fewest_pairs and compared.disagreement() > limits.log_disagreement:
+            elif compared.rows >= limits.fewest_pairs and compared.logged < limits.logged * compared.rows:
+                share = f"{compared.logged:,} of {compared.rows:,} rows"
+                yield Doubt("clock", False, f"{SENT_FILE} says what was in force in {share} of vehicle {vehicle!r}")
+            if compared.logged >= limits.fewest_pairs and compared.disagreement() > limits.log_disagreement:
                 said = f"by {SENT_FILE} other commands were in force than the rows of vehicle {vehicle!r} have"
                 yield Doubt("clock", True, f"{said}: {remedy}")
