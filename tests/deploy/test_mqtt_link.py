@@ -86,7 +86,7 @@ def test_vehicles_that_announce_themselves_are_known(mosquitto, link_to, listene
 
 
 def test_nothing_sent_before_a_broker_was_down_arrives_after_it(mosquitto, link_to, listener):
-    """Down for two seconds while the host goes on commanding: what arrives afterwards is younger than half a second."""
+    """Down for two seconds while the host goes on commanding: what arrives was sent after that, or hardly before its end."""
     _, heard = listener(mosquitto.port)
     link = link_to(mosquitto.broker)
     sent_s, refused, end_s = [], 0, time.monotonic() + 4.2
@@ -97,6 +97,7 @@ def test_nothing_sent_before_a_broker_was_down_arrives_after_it(mosquitto, link_
             mosquitto.stop()
             stopped = True
         if left_s < 1.9 and not started:
+            began_s = time.monotonic()
             mosquitto.start()
             started = True
         try:
@@ -106,7 +107,7 @@ def test_nothing_sent_before_a_broker_was_down_arrives_after_it(mosquitto, link_
         time.sleep(0.02)
     assert refused > 80
     arrived = [(at_s, sent_s[int(one["1"]["L"]) + 120 * int(one["1"]["R"])]) for at_s, one in heard]
-    assert max(at_s - was_sent_s for at_s, was_sent_s in arrived) < 0.5
+    assert min(was_sent_s for at_s, was_sent_s in arrived if at_s > began_s) > began_s - 0.5
     assert sum(at_s > end_s - 1 for at_s, _ in arrived) > 10, "it did not come back within a second"
     assert link.is_connected
     assert link.foreign_messages.count == 0
