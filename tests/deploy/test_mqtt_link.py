@@ -86,7 +86,7 @@ def test_vehicles_that_announce_themselves_are_known(mosquitto, link_to, listene
 
 
 def test_nothing_sent_before_a_broker_was_down_arrives_after_it(mosquitto, link_to, listener):
-    """Down for two seconds while the host goes on commanding: what arrives was sent after that, or hardly before its end."""
+    """Down for two seconds while commands go on: what arrives was sent after that, or just before its end."""
     _, heard = listener(mosquitto.port)
     link = link_to(mosquitto.broker)
     sent_s, refused, end_s = [], 0, time.monotonic() + 4.2
