@@ -46,8 +46,7 @@ def _of_catalogue(trials: dict[str, tuple[int, int]]) -> dict[str, tuple[int, in
     return trials
 
 
-Count = Annotated[int, Field(ge=1)]
-Named = Annotated[tuple[Annotated[int, Field(ge=0)], Count], AfterValidator(_of_those_named)]
+Named = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=1)]], AfterValidator(_of_those_named)]
 """How often a cause was there, and how often it was named."""
 
 Trials = Annotated[dict[str, Named], AfterValidator(_of_catalogue)]

@@ -81,10 +81,10 @@ def recognised(tracks: Sequence[Track], known: Collection[str]) -> list[bool]:
     for number, track in enumerate(tracks):
         runs[run_of(track.run), track.vehicle].append(number)
     cut_otherwise = [own for own in runs.values() if not any(found[number] for number in own)]
-    kept = [_unpacked(mark) for mark in known if mark.startswith(PACKED)]
-    for hashes in kept:
-        is_known = _told(np.concatenate([np.empty(0, np.uint32), *(own.transitions for own in of_tracks)]), hashes)
-        of_each = np.split(is_known, np.cumsum([len(own.transitions) for own in of_tracks])[:-1])
+    together = np.concatenate([np.empty(0, np.uint32), *(own.transitions for own in of_tracks)])
+    ends = np.cumsum([len(own.transitions) for own in of_tracks], dtype=int)
+    for kept in (_unpacked(mark) for mark in known if mark.startswith(PACKED)):
+        of_each = np.split(_told(together, kept), ends[:-1])
         for own in cut_otherwise:
             for number, is_part in zip(own, _known_parts([of_each[number] for number in own]), strict=True):
                 found[number] |= is_part
