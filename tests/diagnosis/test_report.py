@@ -141,6 +141,12 @@ def test_the_page_begins_with_what_to_do_and_goes_on_in_the_order_that_a_supervi
     assert (tmp_path / "figures" / "posterior.png").exists()
 
 
+def test_what_is_in_doubt_of_the_recording_is_told_beside_the_verdict(tmp_path):
+    doubts = ("the clock begins at 7,200 s", "poses span 1 of 2 mm: are they in metres?")
+    text = page_of(made_session(made_result(doubts=doubts), moved_late), tmp_path).above
+    assert "In doubt: the clock begins at 7,200 s. In doubt: poses span 1 of 2 mm: are they in metres? Where" in text
+
+
 def test_limits_are_on_the_page_with_what_a_smaller_effect_is_taken_for(tmp_path):
     page = page_of(made_session(made_result("no_gap", detection_limits=LIMITS), moved_as_simulated), tmp_path)
     assert "command delay delay 0.023 s actuator lag" in page.text
